@@ -75,8 +75,10 @@ class EpisodeStatistics:
         ids = np.flatnonzero(done & (self.counts < self.quota))
         if ids.size:
             record = {name: np.asarray(value)[ids] for name, value in values.items()}
-            record |= {"env": ids, "episode": self.counts[ids]}
-            record |= {"return": self._return[ids], "length": self._length[ids]}
+            record["env"] = ids
+            record["episode"] = self.counts[ids]
+            record["return"] = self._return[ids]
+            record["length"] = self._length[ids]
             record["step"] = np.full(ids.size, self.steps)
             self._records.append(record)
             self.counts[ids] += 1
@@ -87,7 +89,7 @@ class EpisodeStatistics:
     # -- parts of a batch ------------------------------------------------------------------------
 
     def part(self, rows: slice) -> dict[str, Any]:
-        """The state of some adjacent environments, for `load_state_dict` where they run."""
+        """Return the state of some adjacent environments, for `load_state_dict` where they run."""
         return {
             "quota": self.quota[rows].copy(),
             "counts": self.counts[rows].copy(),
@@ -97,19 +99,22 @@ class EpisodeStatistics:
         }
 
     def state_dict(self) -> dict[str, Any]:
-        """The state of all environments (copies), without the values of counted episodes."""
+        """Return copies of the state of all environments, without values of counted episodes."""
         return self.part(slice(None))
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue where `state_dict` or `part` was taken."""
-        self.counts[:], self.steps = state["counts"], state["steps"]
-        self._return[:], self._length[:] = state["return"], state["length"]
+        self.counts[:] = state["counts"]
+        self.steps = state["steps"]
+        self._return[:] = state["return"]
+        self._length[:] = state["length"]
         self._missing = int((self.quota - self.counts).sum())
 
     def take(self) -> list[dict[str, NDArray[Any]]]:
         """Return the values of counted episodes, and forget them: name -> one for each."""
-        taken, self._records = self._records, []
-        return taken
+        records = self._records
+        self._records = []
+        return records
 
     def merge(self, parts: Sequence[tuple[int, Sequence[Mapping[str, NDArray[Any]]]]]) -> None:
         """Add episodes that were counted in parts of the batch, in the order of their ends.
@@ -117,37 +122,48 @@ class EpisodeStatistics:
         Args:
             parts: The first environment of each part, and what `take` returned there.
         """
-        found = [
-            {**record, "env": record["env"] + first}
-            for first, records in parts
-            for record in records
-        ]
-        for step in sorted({int(record["step"][0]) for record in found}):
-            now = [record for record in found if record["step"][0] == step]
-            joined = {name: np.concatenate([record[name] for record in now]) for name in now[0]}
+        records_by_step: dict[int, list[dict[str, NDArray[Any]]]] = {}
+        for first, records in parts:
+            for record in records:
+                step = int(record["step"][0])  # one for all episodes of a record
+                in_batch = {**record, "env": record["env"] + first}
+                records_by_step.setdefault(step, []).append(in_batch)
+        for step in sorted(records_by_step):
+            same_step = records_by_step[step]
+            joined = {
+                name: np.concatenate([record[name] for record in same_step])
+                for name in same_step[0]
+            }
             self._records.append(joined)
             np.add.at(self.counts, joined["env"], 1)
             self._missing -= len(joined["env"])
 
     def column(self, name: str) -> NDArray[Any]:
         """(E,) one value per counted episode, in the order of their ends."""
-        parts = [record[name] for record in self._records if name in record]
-        return np.concatenate(parts) if parts else np.zeros(0)
+        columns = [record[name] for record in self._records if name in record]
+        if not columns:
+            return np.zeros(0)
+        return np.concatenate(columns)
 
     def names(self) -> list[str]:
-        """The names that `column` accepts."""
-        return list(dict.fromkeys(name for record in self._records for name in record))
+        """Return the names that `column` accepts."""
+        names: dict[str, None] = {}
+        for record in self._records:
+            names |= dict.fromkeys(record)
+        return list(names)
 
     def mean(self, name: str) -> float | None:
         """Mean over the counted episodes; None before the first."""
         column = self.column(name)
-        return float(column.mean()) if column.size else None
+        if not column.size:
+            return None
+        return float(column.mean())
 
 
 def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> Iterator[None]:
     """Step a batch until every environment has finished its quota; yields after each control step.
 
-    Of a `PlannedPolicy` the value `failure` is kept: why an episode failed, or "".
+    Episodes of a `PlannedPolicy` have the value `failure`: why an episode failed, or "".
 
     Args:
         env: A batched environment that was just reset and resets its environments itself.
@@ -156,41 +172,44 @@ def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> 
         counted: The statistics, updated in place.
     """
     has_success = env.judges_success
-    planned = policy if isinstance(policy, PlannedPolicy) else None
     while not counted.complete:
         obs, reward, terminated, truncated, info = env.step(policy(obs, env))
-        ended = as_array(terminated)
-        done = ended | as_array(truncated)
-        finished = bool(done.any())
-        kept = _ended_values(info, ended, has_success) if finished else {}
-        if planned is not None and finished:
-            kept["failure"] = failures_of(env, planned, done, ended, kept)
-        counted.add(as_array(reward), done, kept)
-        if finished:
+        is_terminated = as_array(terminated)
+        done = is_terminated | as_array(truncated)
+        if not done.any():
+            counted.add(as_array(reward), done, {})
+        else:
+            values = _episode_values(info, is_terminated, has_success)
+            if isinstance(policy, PlannedPolicy):
+                values["failure"] = failures_of(env, policy, done, is_terminated, values)
+            counted.add(as_array(reward), done, values)
             policy.reset(np.flatnonzero(done))
         yield
 
 
-def _ended_values(
+def _episode_values(
     info: Mapping[str, Any], terminated: Flags, has_success: bool
 ) -> dict[str, NDArray[Any]]:
-    """Return the values kept of episodes that end in a step: name -> (N,).
+    """Return the values to count of episodes that end in a step: name -> (N,).
 
     Args:
         info: The info of the step, from before an automatic reset.
         terminated: (N,) whether each environment terminated.
         has_success: `BaseEnv.judges_success` of the task.
     """
-    metrics = {name: as_array(value) for name, value in info["metrics"].items()}
-    kept = {"terminated": terminated, "diverged": as_array(info["diverged"])}
+    values: dict[str, NDArray[Any]] = {
+        "terminated": terminated,
+        "diverged": as_array(info["diverged"]),
+    }
     if has_success:
-        kept["success"] = as_array(info["success"])
-    kept |= {f"metrics/{name}": value for name, value in metrics.items()}
-    kept |= {f"rewards/{name}": as_array(v) for name, v in info["episode_sums"].items()}
-    return kept
+        values["success"] = as_array(info["success"])
+    for name, value in info["metrics"].items():
+        values[f"metrics/{name}"] = as_array(value)
+    for name, value in info["episode_sums"].items():
+        values[f"rewards/{name}"] = as_array(value)
+    return values
 
 
 def as_array(value: Any) -> NDArray[Any]:
     """Return a tensor of an environment as a numpy array."""
-    array: NDArray[Any] = value.numpy(force=True)
-    return array
+    return value.numpy(force=True)

@@ -79,8 +79,8 @@ class ActionScale:
         self._low = np.where(self.unbounded, np.float32(-1), self._low)
         self._high = np.where(self.unbounded, np.float32(1), self._high)
         self._identity = bool((self._low == -1).all() and (self._high == 1).all())
-        most = np.where(self.unbounded, np.float32(UNBOUNDED), np.float32(1))
-        self.space = spaces.Box(-most, most, dtype=np.float32)
+        bound = np.where(self.unbounded, np.float32(UNBOUNDED), np.float32(1))
+        self.space = spaces.Box(-bound, bound, dtype=np.float32)
 
     def __call__(self, actions: ArrayLike) -> F32:
         """Return (N, A) actions of the environment, as a new array.
@@ -98,8 +98,8 @@ class ActionScale:
             return scaled
         # low + (a + 1) * (high - low) / 2 would miss `high` by a rounding error.
         half = np.float32(0.5)
-        result: F32 = half * ((1 - scaled) * self._low + (1 + scaled) * self._high)
-        return np.where(self.unbounded, scaled, result)
+        bounded = half * ((1 - scaled) * self._low + (1 + scaled) * self._high)
+        return np.where(self.unbounded, scaled, bounded)
 
     def inverse(self, actions: ArrayLike) -> F32:
         """Return (N, A) learner's actions of actions of the environment, clipped to its space.
@@ -107,14 +107,13 @@ class ActionScale:
         Raises:
             ValueError: If the shape is wrong.
         """
-        given = np.array(actions, np.float32)
-        if given.ndim != 2 or given.shape[1:] != self._low.shape:
-            raise ValueError(f"actions {given.shape[1:]} instead of {self._low.shape}")
-        width = self._high - self._low
-        middle = self._low + self._high
-        scaled = given if self._identity else (2 * given - middle) / np.where(width > 0, width, 1)
-        result: F32 = np.clip(scaled, self.space.low, self.space.high)
-        return result
+        scaled: NDArray[Any] = np.array(actions, np.float32)
+        if scaled.ndim != 2 or scaled.shape[1:] != self._low.shape:
+            raise ValueError(f"actions {scaled.shape[1:]} instead of {self._low.shape}")
+        if not self._identity:
+            width = self._high - self._low
+            scaled = (2 * scaled - (self._low + self._high)) / np.where(width > 0, width, 1)
+        return np.clip(scaled, self.space.low, self.space.high)
 
 
 def require_bounds(env: BaseEnv, learner: str) -> None:
@@ -130,7 +129,9 @@ def require_bounds(env: BaseEnv, learner: str) -> None:
     unbounded = ActionScale(env.single_action_space).unbounded
     if not unbounded.any():
         return
-    terms = [n for n, columns in env.action_manager.slices.items() if unbounded[columns].any()]
+    terms = [
+        name for name, columns in env.action_manager.slices.items() if unbounded[columns].any()
+    ]
     keys = ", ".join(f"task.actions.{name}.params: {{clip: [-1, 1]}}" for name in terms)
     message = f"{learner} needs bounds of the actions, and there are none (bounds: null)"
     hint = f"Write {keys or 'an action space with bounds'} instead, or take algo=ppo"
@@ -143,11 +144,11 @@ def observation_box(env: BaseEnv, group: str) -> spaces.Box:
     Raises:
         ConfigError: If no observation is in the group (lists the groups), or one is an image.
     """
-    found = observation_dict(env, group)
+    entries = observation_dict(env, group)
     images = env.observation_manager.image_terms(group)
     if images:
         raise ConfigError(no_vector(group, images))
-    width = sum(math.prod(space.shape or ()) for space in found.values())
+    width = sum(math.prod(space.shape or ()) for space in entries.values())
     return spaces.Box(-np.inf, np.inf, (width,), np.float32)
 
 
@@ -185,40 +186,46 @@ class LearnerView:
     def __init__(
         self, env: BaseEnv, group: str, flatten: bool = True, others: Sequence[str] = ()
     ) -> None:
-        self._env, self._group = env, group
-        self._named: spaces.Dict | None = observation_dict(env, group, *others)
+        self._env = env
+        self._group = group
+        entries = observation_dict(env, group, *others)
         if flatten and others:
             raise ConfigError("the observation of several groups is a dict: use flatten=False")
+        # The spaces by entry; None if the observation is the flat vector.
+        self._entries: spaces.Dict | None = entries
+        # The entry that is the observation, if it is one image; else "".
         self._image = ""
-        self.space: spaces.Space[Any] = self._named
-        if flatten and len(self._named) == 1 and env.observation_manager.image_terms(group):
-            self._image = next(iter(self._named))
-            self.space = self._named[self._image]
+        self.space: spaces.Space[Any] = entries
+        if flatten and len(entries) == 1 and env.observation_manager.image_terms(group):
+            self._image = next(iter(entries))
+            self.space = entries[self._image]
         elif flatten:
-            self._named, self.space = None, observation_box(env, group)
+            self._entries = None
+            self.space = observation_box(env, group)
 
     def __call__(self, obs: Any) -> NDArray[Any] | dict[str, NDArray[Any]]:
         """Return new arrays (N, ...) of an observation of the environment."""
-        if self._named is None:
+        if self._entries is None:
             return flat_observation(self._env, obs, self._group)
-        found = named_obs(obs, self._named)
-        return found[self._image] if self._image else found
+        arrays = named_obs(obs, self._entries)
+        if self._image:
+            return arrays[self._image]
+        return arrays
 
     def tensors(self, obs: Any) -> dict[Any, torch.Tensor]:
         """Return the entries of an observation by name, (N, ...); the name of a vector is "".
 
         They may share memory with the observation.
         """
-        if self._named is None:
+        if self._entries is None:
             return {"": self._env.observation_manager.flatten(obs, self._group)}
-        return {name: obs[tuple(name.split("/"))] for name in self._named}
+        return {name: obs[tuple(name.split("/"))] for name in self._entries}
 
     def named(self, arrays: Mapping[Any, Any]) -> NDArray[Any] | dict[str, NDArray[Any]]:
         """Return the observation of entries as `tensors` names them."""
-        if self._named is None or self._image:
-            found: NDArray[Any] = arrays[self._image]
-            return found
-        return {name: arrays[name] for name in self._named}
+        if self._entries is None or self._image:
+            return arrays[self._image]
+        return {name: arrays[name] for name in self._entries}
 
     def recorded(self, entries: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Return recorded observations as the learner would have received them.
@@ -232,24 +239,26 @@ class LearnerView:
         Raises:
             ValueError: If an entry is missing or has another shape.
         """
-        found = {}
-        wanted = self._named or observation_dict(self._env, self._group)
-        for name, space in wanted.items():
+        arrays: dict[str, NDArray[Any]] = {}
+        needed_spaces = self._entries or observation_dict(self._env, self._group)
+        for name, space in needed_spaces.items():
             if name not in entries:
                 raise ValueError(f"no observation {name!r}, there are: {', '.join(entries)}")
-            given = entries[name]
-            if given.shape[1:] != space.shape:
+            array = entries[name]
+            if array.shape[1:] != space.shape:
                 raise ValueError(
-                    f"observation {name!r} is {given.shape[1:]} instead of {space.shape}"
+                    f"observation {name!r} is {array.shape[1:]} instead of {space.shape}"
                 )
-            found[name] = given if space.dtype is None else given.astype(space.dtype, copy=False)
+            if space.dtype is not None:
+                array = array.astype(space.dtype, copy=False)
+            arrays[name] = array
         if self._image:
-            return {"": found[self._image]}
-        if self._named is not None:
-            return found
-        ordered = self._env.observation_manager.group_terms(self._group)
-        parts = [found[name].reshape(len(found[name]), -1) for name in ordered]
-        return {"": np.concatenate(parts, axis=1, dtype=np.float32)}
+            return {"": arrays[self._image]}
+        if self._entries is not None:
+            return arrays
+        ordered_names = self._env.observation_manager.group_terms(self._group)
+        rows = [arrays[name].reshape(len(arrays[name]), -1) for name in ordered_names]
+        return {"": np.concatenate(rows, axis=1, dtype=np.float32)}
 
 
 def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:
@@ -270,8 +279,7 @@ def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:
 
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
     """Return a group of an observation as a new (N, K) array, one flat vector per environment."""
-    rows: F32 = env.arrays.host(env.observation_manager.flat_rows(obs, group))
-    return rows
+    return env.arrays.host(env.observation_manager.flat_rows(obs, group))
 
 
 def require_torch_batch(env: gym.Env[Any, Any], caller: str) -> None:

@@ -106,12 +106,12 @@ def test_what_is_no_policy(run, capsys, kind):
         ("export", "policy", "other.zip"),
     ):
         err = refused(capsys, *arguments, *TINY[:1])
-        assert "other.zip is no policy of Stable-Baselines3: " in err
+        assert "other.zip is not a policy of Stable-Baselines3: " in err
     assert "is not a training's folder" in refused(capsys, "train", "resume=other.zip")
     other.replace(final)
     Path("run/checkpoints/step_000000000032.zip").unlink()
     err = refused(capsys, "train", f"resume={run}", "total_timesteps=128")
-    assert "final.zip is no policy of Stable-Baselines3: " in err
+    assert "final.zip is not a policy of Stable-Baselines3: " in err
 
 
 def command(*arguments, limit=None):

@@ -90,7 +90,7 @@ def has_script(path: Path) -> bool:
     """Whether a checkpoint contains a policy as TorchScript, which needs no learner to act.
 
     Raises:
-        ConfigError: If the file cannot be read or is no checkpoint, see `read_note`.
+        ConfigError: If the file cannot be read or is not a checkpoint, see `read_note`.
     """
     read_note(path)
     with zipfile.ZipFile(path) as archive:
@@ -105,8 +105,21 @@ def read_note(path: Path) -> dict[str, Any]:
         attributes in it and ``group`` is ``policy``.
 
     Raises:
-        ConfigError: If the file cannot be read or is no checkpoint of a known algorithm.
+        ConfigError: If the file cannot be read or is not a checkpoint of a known algorithm.
     """
+    data = _read_data(path)
+    if isinstance(data, dict):
+        note = data.get(NOTE)
+        if isinstance(note, dict):
+            return note
+        algo = made_by(data)
+        if algo is not None:
+            return {"algo": algo, "group": "policy"}
+    raise _not_a_policy(path, "it does not say which algorithm made it")
+
+
+def _read_data(path: Path) -> Any:
+    """Read the JSON in a checkpoint; errors as of `read_note`."""
     try:
         check_unpacked(path)
         with zipfile.ZipFile(path) as archive:
@@ -114,19 +127,12 @@ def read_note(path: Path) -> dict[str, Any]:
             policy = SCRIPT if SCRIPT in names else _MODEL
             missing = [name for name in ("data", policy) if name not in names]
             if missing:
-                raise _wrong(path, f"it has no {' and no '.join(missing)}")
-            data = json.loads(archive.read("data"))
+                raise _not_a_policy(path, f"it has no {' and no '.join(missing)}")
+            return json.loads(archive.read("data"))
     except (zipfile.BadZipFile, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise _wrong(path, str(error)) from error
+        raise _not_a_policy(path, str(error)) from error
     except OSError as error:
         raise ConfigError([Problem("policy", f"cannot read {path}: {error}")]) from error
-    note = data.get(NOTE) if isinstance(data, dict) else None
-    if isinstance(note, dict):
-        return note
-    algo = made_by(data) if isinstance(data, dict) else None
-    if algo is not None:
-        return {"algo": algo, "group": "policy"}
-    raise _wrong(path, "it does not say which algorithm made it")
 
 
 def read_digest(note: Mapping[str, Any], path: Path) -> TaskDigest | None:
@@ -136,20 +142,22 @@ def read_digest(note: Mapping[str, Any], path: Path) -> TaskDigest | None:
         ConfigError: If the digest is damaged.
     """
     text = note.get(DIGEST)
+    if text is None:
+        return None
     try:
-        return None if text is None else TaskDigest.from_json(str(text))
+        return TaskDigest.from_json(str(text))
     except ValueError as error:
-        raise _wrong(path, f"its digest of the task is damaged: {error}") from error
+        raise _not_a_policy(path, f"its digest of the task is damaged: {error}") from error
 
 
-def _wrong(path: Path, why: str) -> ConfigError:
-    message = f"{path} is no policy of Stable-Baselines3: {why}"
+def _not_a_policy(path: Path, why: str) -> ConfigError:
+    message = f"{path} is not a policy of Stable-Baselines3: {why}"
     return ConfigError([Problem("policy", message)])
 
 
 # Names of attributes that only this algorithm's models have, among those further down. DDPG is
 # TD3 with other values: as policies they are the same.
-_MARKS: tuple[tuple[str, frozenset[str]], ...] = (
+_ATTRIBUTES: tuple[tuple[str, frozenset[str]], ...] = (
     ("tqc", frozenset({"top_quantiles_to_drop_per_net"})),
     ("crossq", frozenset({"target_entropy", "policy_delay"})),
     ("sac", frozenset({"target_entropy"})),
@@ -171,4 +179,7 @@ def made_by(data: Mapping[str, Any]) -> str | None:
     policy = data.get("policy_class")
     if isinstance(policy, Mapping) and "recurrent" in str(policy.get("__module__")):
         return "recurrent_ppo"
-    return next((name for name, marks in _MARKS if marks <= data.keys()), None)
+    for name, attributes in _ATTRIBUTES:
+        if attributes <= data.keys():
+            return name
+    return None

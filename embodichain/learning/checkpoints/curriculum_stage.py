@@ -40,11 +40,13 @@ def read_stage(policy: str | Path) -> dict[str, Any] | None:
         ConfigError: If the file is damaged.
     """
     path = stage_path(policy)
-    return read_tree(path, "policy", "stage of a curriculum") if path.is_file() else None
+    if not path.is_file():
+        return None
+    return read_tree(path, key="policy", what="stage of a curriculum")
 
 
 def hold_at_stage(env: BaseEnv, policy: Any) -> None:
-    """Hold the curriculum at the stage of a policy's training, if it has one; this is logged."""
+    """Hold the curriculum at the stage of a policy's training, if it has one, and log it."""
     stage = getattr(policy, "stage", None)
     if stage is not None and env.cfg.curriculum:
         env.hold_curriculum(stage)
@@ -56,7 +58,8 @@ def hold_at_stage(env: BaseEnv, policy: Any) -> None:
 def at_stage(env: BaseEnv, policy: Any) -> Iterator[dict[str, Any] | None]:
     """Hold the curriculum of an environment at the stage of a policy's training.
 
-    Without one it is held where it is, in a new environment at its first stage: this is said.
+    Without one it is held where it is, in a new environment at its first stage, and a warning is
+    logged.
 
     Args:
         env: The environment; its curriculum goes on afterwards, unless it was held before.
@@ -69,10 +72,10 @@ def at_stage(env: BaseEnv, policy: Any) -> Iterator[dict[str, Any] | None]:
     if not env.cfg.curriculum:
         yield None
         return
-    held = env.curriculum_manager.held
+    was_held = env.curriculum_manager.held
     stage = getattr(policy, "stage", None)
     step = env.control_step if stage is None else stage["control_step"]
-    if not held:
+    if not was_held:
         env.hold_curriculum(stage)
         if stage is None:
             _log.warning(
@@ -81,8 +84,11 @@ def at_stage(env: BaseEnv, policy: Any) -> Iterator[dict[str, Any] | None]:
                 step,
             )
     try:
-        values = dict(env.curriculum_manager.values)
-        yield {"control_step": step, "training": stage is not None and not held, "values": values}
+        yield {
+            "control_step": step,
+            "training": stage is not None and not was_held,
+            "values": dict(env.curriculum_manager.values),
+        }
     finally:
-        if not held:
+        if not was_held:
             env.release_curriculum()

@@ -16,8 +16,16 @@ __all__ = ["Inert", "InertPickle", "read_inert"]
 
 
 _DAMAGE = (
-    *(pickle.UnpicklingError, AttributeError, EOFError, ImportError, LookupError, MemoryError),
-    *(OverflowError, RecursionError, TypeError, ValueError),
+    pickle.UnpicklingError,
+    AttributeError,
+    EOFError,
+    ImportError,
+    LookupError,
+    MemoryError,
+    OverflowError,
+    RecursionError,
+    TypeError,
+    ValueError,
 )
 """What a malformed pickle raises."""
 
@@ -92,12 +100,12 @@ def read_inert(data: bytes) -> InertPickle:
     Args:
         data: The pickle; of a damaged one, `names` has those before the damage.
     """
-    found = InertPickle()
+    content = InertPickle()
     try:
-        found.value = _Reader(data, found.names).load()
+        content.value = _Reader(data, content.names).load()
     except _DAMAGE as error:
-        found.damage = f"{type(error).__name__}: {error}"
-    return found
+        content.damage = f"{type(error).__name__}: {error}"
+    return content
 
 
 class _Reader(pickle.Unpickler):

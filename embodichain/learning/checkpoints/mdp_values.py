@@ -46,7 +46,7 @@ def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
         ValueError: If the group has no observation.
     """
     cfg = env.cfg
-    found: dict[str, Any] = {
+    values: dict[str, Any] = {
         "timing": {"sim_steps_per_control": env.sim_steps_per_control},
         "initial": _initial(env),
         "space": _space(env, group),
@@ -58,64 +58,76 @@ def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
         "extensions": cfg.extensions,
         "id": cfg.id,
     }
-    sections = [section for section in SECTIONS if section not in _NO_MDP]
-    found |= {section: _terms(section, getattr(cfg, section)) for section in sections}
-    seen = {name: term for name, term in cfg.observations.items() if term.group == group}
-    found["observations"] = _terms("observations", seen)
-    plain: dict[str, Any] = _plain(found)
-    return plain
+    for section in SECTIONS:
+        if section not in _NO_MDP:
+            values[section] = _terms(section, getattr(cfg, section))
+    observations = {name: term for name, term in cfg.observations.items() if term.group == group}
+    values["observations"] = _terms("observations", observations)
+    return _plain(values)
 
 
 def _terms(section: str, terms: Mapping[str, TermCfg]) -> dict[str, Any]:
-    """Terms with their defaults filled in, and their order."""
-    found: dict[str, Any] = {name: _term(section, term) for name, term in terms.items()}
-    return {**found, "(order)": list(terms)} if len(terms) > 1 else found
+    """Return terms with their defaults filled in, and their order."""
+    values: dict[str, Any] = {name: _term(section, term) for name, term in terms.items()}
+    if len(terms) > 1:
+        values["(order)"] = list(terms)
+    return values
 
 
 def _term(section: str, cfg: TermCfg) -> dict[str, Any]:
+    names = {field.name for field in dataclasses.fields(cfg)} - {"func", "params"}
+    other_fields = {name: getattr(cfg, name) for name in sorted(names)}
     checked, _ = check_term(SECTIONS[section], cfg, section)
-    params, takes = dict(cfg.params), dict.fromkeys(cfg.params, "given")
-    if checked is not None:
-        known = checked.spec.params.items()
-        usual = {n: p.default for n, p in known if p.default is not p.empty}
-        params = usual | checked.values
-        takes = {n: _given(n, params, usual) for n in params}
-    others = {f.name for f in dataclasses.fields(cfg)} - {"func", "params"}
-    fields = {name: getattr(cfg, name) for name in sorted(others)}
-    return {"func": cfg.func, **fields, "params": params, "takes": takes}
-
-
-def _given(name: str, params: Mapping[str, Any], usual: Mapping[str, Any]) -> str:
-    """Whether a parameter is ``default`` or ``given``."""
-    same = name in usual and _plain(params[name]) == _plain(usual[name])
-    return "default" if same else "given"
+    if checked is None:
+        params = dict(cfg.params)
+        takes = dict.fromkeys(params, "given")
+    else:
+        defaults = {
+            name: param.default
+            for name, param in checked.spec.params.items()
+            if param.default is not param.empty
+        }
+        params = defaults | checked.values
+        takes = {}
+        for name, value in params.items():
+            is_default = name in defaults and _plain(value) == _plain(defaults[name])
+            takes[name] = "default" if is_default else "given"
+    return {"func": cfg.func, **other_fields, "params": params, "takes": takes}
 
 
 def _initial(env: BaseEnv) -> dict[str, Any]:
-    """Initial joint positions, controls and poses of mocap bodies."""
-    engine, row = env.sim.engine, env.sim.initial_row
+    """Return initial joint positions, controls and poses of mocap bodies."""
+    engine = env.sim.engine
+    row = env.sim.initial_row
+    qpos = row[engine.component("qpos")]
+    ctrl = row[engine.component("ctrl")]
+    mocap_pos = row[engine.component("mocap_pos")].reshape(-1, 3)
+    mocap_quat = row[engine.component("mocap_quat")].reshape(-1, 4)
+
     model = engine.model
-    obj = mujoco.mjtObj
-    found: dict[str, Any] = {}
-    qpos, ctrl = row[engine.component("qpos")], row[engine.component("ctrl")]
-    ends = [*model.jnt_qposadr[1:].tolist(), model.nq]
-    for index, (start, end) in enumerate(zip(model.jnt_qposadr.tolist(), ends, strict=True)):
-        name = mujoco.mj_id2name(model, obj.mjOBJ_JOINT, index) or f"#{index}"
-        found[f"qpos of {name}"] = qpos[start:end]
-    for index in range(model.nactuator):
-        name = mujoco.mj_id2name(model, obj.mjOBJ_ACTUATOR, index) or f"#{index}"
-        start = int(model.actuator_ctrladr[index])
-        found[f"ctrl of {name}"] = ctrl[start : start + int(model.actuator_ctrlnum[index])]
-    for index in np.flatnonzero(model.body_mocapid >= 0).tolist():
-        at = int(model.body_mocapid[index])
-        pos, quat = row[engine.component("mocap_pos")], row[engine.component("mocap_quat")]
-        name = mujoco.mj_id2name(model, obj.mjOBJ_BODY, index) or f"#{index}"
-        found[f"pose of {name}"] = [*pos[3 * at : 3 * at + 3], *quat[4 * at : 4 * at + 4]]
-    return found
+    values: dict[str, Any] = {}
+    starts = model.jnt_qposadr.tolist()
+    ends = [*starts[1:], model.nq]
+    for joint, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        values[f"qpos of {_name(model, mujoco.mjtObj.mjOBJ_JOINT, joint)}"] = qpos[start:end]
+    for actuator in range(model.nactuator):
+        start = int(model.actuator_ctrladr[actuator])
+        end = start + int(model.actuator_ctrlnum[actuator])
+        values[f"ctrl of {_name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator)}"] = ctrl[start:end]
+    for body in np.flatnonzero(model.body_mocapid >= 0).tolist():
+        mocap = int(model.body_mocapid[body])
+        pose = [*mocap_pos[mocap], *mocap_quat[mocap]]
+        values[f"pose of {_name(model, mujoco.mjtObj.mjOBJ_BODY, body)}"] = pose
+    return values
+
+
+def _name(model: mujoco.MjModel, obj_type: mujoco.mjtObj, index: int) -> str:
+    """Return the name of an element, or its number if it has none."""
+    return mujoco.mj_id2name(model, obj_type, index) or f"#{index}"
 
 
 def _space(env: BaseEnv, group: str) -> dict[str, Any]:
-    """The columns of actions and observations."""
+    """Return the columns of actions and observations."""
     space: Any = env.single_action_space
     columns = env.observation_manager.columns(group)
     return {
@@ -128,13 +140,17 @@ def _space(env: BaseEnv, group: str) -> dict[str, Any]:
 
 def _corruption(env: BaseEnv, group: str) -> bool:
     """Whether the noise of the group's observations is on, if they have any."""
-    switched = env.cfg.enable_corruption
-    noisy = any(t.noise is not None for t in env.cfg.observations.values() if t.group == group)
-    return noisy and (switched if isinstance(switched, bool) else switched.get(group, True))
+    terms = env.cfg.observations.values()
+    if not any(term.noise is not None for term in terms if term.group == group):
+        return False
+    enabled = env.cfg.enable_corruption
+    if isinstance(enabled, bool):
+        return enabled
+    return enabled.get(group, True)
 
 
 def _plain(value: Any) -> Any:
-    """A value as mappings, lists, numbers and strings; empty values of mappings are left out."""
+    """Return mappings, lists, numbers and strings; empty values of mappings are left out."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):

@@ -69,42 +69,53 @@ def read_tree(path: Path, key: str = "resume", what: str = "state of a training"
 def _pack(value: Any, path: str, arrays: dict[str, NDArray[Any]]) -> Any:
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
-    if isinstance(value, (np.ndarray, np.generic, torch.Tensor)):
-        name = f"a{len(arrays)}"
-        if isinstance(value, torch.Tensor):
-            kind, arrays[name] = "tensor", value.numpy(force=True)
-        else:
-            kind = "scalar" if isinstance(value, np.generic) else "array"
-            arrays[name] = np.asarray(value)
-        if arrays[name].dtype.hasobject:
-            raise TypeError(f"{path} contains objects: they cannot be written")
-        return {_KIND: kind, "name": name}
+    if isinstance(value, torch.Tensor):
+        return _pack_array("tensor", value.numpy(force=True), path, arrays)
+    if isinstance(value, np.generic):
+        return _pack_array("scalar", np.asarray(value), path, arrays)
+    if isinstance(value, np.ndarray):
+        return _pack_array("array", np.asarray(value), path, arrays)
     if isinstance(value, Mapping):
-        items = [(k, _pack(v, f"{path}.{k}", arrays)) for k, v in value.items()]
-        if items and all(type(k) is int for k, _ in items):
-            return {_KIND: "int_map", "items": {str(k): v for k, v in items}}
-        if not all(isinstance(k, str) for k, _ in items):
-            raise TypeError(f"{path} has keys that are no text: {[k for k, _ in items]}")
-        return {_KIND: "map", "items": dict(items)}
+        packed = {key: _pack(item, f"{path}.{key}", arrays) for key, item in value.items()}
+        if packed and all(type(key) is int for key in packed):
+            return {_KIND: "int_map", "items": {str(key): item for key, item in packed.items()}}
+        if not all(isinstance(key, str) for key in packed):
+            raise TypeError(f"{path} has keys that are not text: {list(packed)}")
+        return {_KIND: "map", "items": packed}
     if isinstance(value, (list, tuple)):
-        items = [_pack(v, f"{path}[{i}]", arrays) for i, v in enumerate(value)]
-        return {_KIND: "tuple", "items": items} if isinstance(value, tuple) else items
+        items = [_pack(item, f"{path}[{i}]", arrays) for i, item in enumerate(value)]
+        if isinstance(value, tuple):
+            return {_KIND: "tuple", "items": items}
+        return items
     raise TypeError(f"{path} is {type(value).__name__}: it cannot be written")
+
+
+def _pack_array(
+    kind: str, array: NDArray[Any], path: str, arrays: dict[str, NDArray[Any]]
+) -> dict[str, str]:
+    """Add an array to those of the file, and return what stands for it in the JSON."""
+    if array.dtype.hasobject:
+        raise TypeError(f"{path} contains objects: they cannot be written")
+    name = f"a{len(arrays)}"
+    arrays[name] = array
+    return {_KIND: kind, "name": name}
 
 
 def _unpack(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     if isinstance(value, list):
-        return [_unpack(v, arrays) for v in value]
+        return [_unpack(item, arrays) for item in value]
     if not isinstance(value, dict):
         return value
     kind = value[_KIND]
     if kind == "map":
-        return {k: _unpack(v, arrays) for k, v in value["items"].items()}
+        return {key: _unpack(item, arrays) for key, item in value["items"].items()}
     if kind == "int_map":
-        return {int(k): _unpack(v, arrays) for k, v in value["items"].items()}
+        return {int(key): _unpack(item, arrays) for key, item in value["items"].items()}
     if kind == "tuple":
-        return tuple(_unpack(v, arrays) for v in value["items"])
+        return tuple(_unpack(item, arrays) for item in value["items"])
     array = arrays[value["name"]]
     if kind == "tensor":
         return torch.from_numpy(np.array(array))
-    return array[()] if kind == "scalar" else array
+    if kind == "scalar":
+        return array[()]
+    return array

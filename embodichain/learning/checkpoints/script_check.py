@@ -15,13 +15,13 @@ __all__ = ["code_at_loading", "operations_beyond"]
 
 _CODE = "code/"
 _AT_LOADING = b"__setstate__"
-_COMPUTING = ("aten", "prim", "quantized")
-"""Namespaces of operations that compute."""
-_BEYOND = ("aten::save", "aten::from_file", "prim::PythonOp")
+_COMPUTING_NAMESPACES = ("aten", "prim", "quantized")
+"""Namespaces of operations that compute, apart from the following ones."""
+_NOT_COMPUTING = ("aten::save", "aten::from_file", "prim::PythonOp")
 _CALLS = ("prim::CallMethod", "prim::CallFunction")
 """Calls that are not inlined: what they do is not known before they are made."""
-_REMOTE = "prim::rpc_"
-_GRAPHS = "g"
+_REMOTE_CALL = "prim::rpc_"
+_GRAPH_ATTRIBUTE = "g"
 
 
 def code_at_loading(stream: BinaryIO) -> list[str]:
@@ -31,14 +31,14 @@ def code_at_loading(stream: BinaryIO) -> list[str]:
         stream: The file; it is read as torch reads it.
 
     Raises:
-        RuntimeError: If it is no archive of torch.
+        RuntimeError: If it is not an archive of torch.
     """
     stream.seek(0)
     archive: Any = torch._C.PyTorchFileReader(stream)
-    records = [name for name in archive.get_all_records() if name.startswith(_CODE)]
-    found = [name for name in records if _AT_LOADING in archive.get_record(name)]
+    code_files = [name for name in archive.get_all_records() if name.startswith(_CODE)]
+    run_at_loading = [name for name in code_files if _AT_LOADING in archive.get_record(name)]
     stream.seek(0)
-    return [f"{_AT_LOADING.decode()} in {name}" for name in found]
+    return [f"{_AT_LOADING.decode()} in {name}" for name in run_at_loading]
 
 
 def operations_beyond(module: torch.jit.ScriptModule) -> list[str]:
@@ -47,26 +47,32 @@ def operations_beyond(module: torch.jit.ScriptModule) -> list[str]:
     Args:
         module: The module; nothing of it is run.
     """
-    names: dict[str, None] = {}
-    for part in module.modules():
-        compiled: Any = getattr(part, "_c", None)
-        for name in compiled._method_names() if compiled is not None else ():
-            graph = compiled._get_method(name).inlined_graph
-            names |= dict.fromkeys(kind for kind in _kinds(graph) if _is_beyond(kind))
-    return list(names)
+    names: list[str] = []
+    for submodule in module.modules():
+        compiled: Any = getattr(submodule, "_c", None)
+        if compiled is None:
+            continue
+        for method in compiled._method_names():
+            graph = compiled._get_method(method).inlined_graph
+            names += [name for name in _operations(graph) if not _only_computes(name)]
+    return list(dict.fromkeys(names))
 
 
-def _is_beyond(kind: str) -> bool:
-    unknown = kind.partition("::")[0] not in _COMPUTING
-    return unknown or kind in (*_BEYOND, *_CALLS) or kind.startswith(_REMOTE)
+def _only_computes(operation: str) -> bool:
+    namespace = operation.partition("::")[0]
+    if namespace not in _COMPUTING_NAMESPACES:
+        return False
+    if operation in _NOT_COMPUTING or operation in _CALLS:
+        return False
+    return not operation.startswith(_REMOTE_CALL)
 
 
-def _kinds(block: Any) -> Iterator[str]:
-    """The operations of a graph or block, of blocks inside it, and of graphs in attributes."""
+def _operations(block: Any) -> Iterator[str]:
+    """Yield the operations of a graph or block, of blocks in it, and of graphs in attributes."""
     for node in block.nodes():
         yield node.kind()
         for inner in node.blocks():
-            yield from _kinds(inner)
+            yield from _operations(inner)
         for name in node.attributeNames():
-            if node.kindOf(name) == _GRAPHS:
-                yield from _kinds(node.g(name))
+            if node.kindOf(name) == _GRAPH_ATTRIBUTE:
+                yield from _operations(node.g(name))

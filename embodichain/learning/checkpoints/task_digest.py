@@ -35,8 +35,9 @@ TOLD = ("rewards", "corruption", "curriculum", "mujoco", GAINED)
 """Parts that do not affect a policy's actions; a change only causes a warning."""
 
 _FORMAT = 1
-_RELATIVE, _ABSOLUTE = 1e-6, 1e-12
-"""Tolerance for numbers: a model compiled on another machine may be rounded differently."""
+# A model compiled on another machine may be rounded differently.
+_RELATIVE_TOLERANCE = 1e-6
+_ABSOLUTE_TOLERANCE = 1e-12
 _MOST_SHOWN = 12
 _NAMES = {
     "timing": "task.",
@@ -48,8 +49,7 @@ _NAMES = {
     "mujoco": "MuJoCo",
 }
 """Part -> prefix of the names of its values; the default is ``task.PART.``."""
-_DONE = {"training": "trained", "recording": "recorded"}
-_Difference = tuple[str, Any, Any]
+_PARTICIPLE = {"training": "trained", "recording": "recorded"}
 _log = logging.getLogger(__name__)
 
 
@@ -102,8 +102,12 @@ class TaskDigest:
             ValueError: If no observation is in the group.
         """
         env = getattr(env, "template", env)  # of a batch in shards
-        model = {"model": physics_values(env.sim.engine.model), "mujoco": mujoco.__version__}
-        return cls({**model, **mdp_values(env, group)})
+        parts = {
+            "model": physics_values(env.sim.engine.model),
+            "mujoco": mujoco.__version__,
+            **mdp_values(env, group),
+        }
+        return cls(parts)
 
     def to_json(self) -> str:
         """Return it as one JSON object without spaces."""
@@ -116,25 +120,38 @@ class TaskDigest:
         Raises:
             ValueError: If the text is damaged.
         """
-        found = json.loads(text)
-        if not isinstance(found, dict):
+        parts = json.loads(text)
+        if not isinstance(parts, dict):
             raise ValueError("a digest is a JSON object")
-        return cls(found) if found.pop("format", None) == _FORMAT else None
+        if parts.pop("format", None) != _FORMAT:
+            return None
+        return cls(parts)
 
     def changes(self, now: TaskDigest) -> list[Change]:
         """Return the differences in `now`: first the model, then the MDP by section."""
-        found: list[Change] = []
+        changes: list[Change] = []
         for part in dict.fromkeys([*self.parts, *now.parts]):
-            before, after = self.parts.get(part), now.parts.get(part)
+            before = self.parts.get(part)
+            after = now.parts.get(part)
             gained: set[str] = set()
-            if part in SECTIONS:
-                before, after = _in_words_of_today(before or {}), _in_words_of_today(after or {})
-                before, after, gained = _without_gained(part, before, after)
-            pairs = _model(before, after) if part == "model" else _section(part, before, after)
-            for name, a, b in pairs:
-                of = GAINED if name in gained else part
-                found.append(Change(of, name, _text(a, b), _text(b, a)))
-        return found
+            if part == "model":
+                differences = _compare_models(before, after)
+            elif part in SECTIONS:
+                terms = _compared_terms(part, before or {}, after or {})
+                gained = terms.gained
+                differences = _compare_sections(part, terms.before, terms.now)
+            else:
+                differences = _compare_sections(part, before, after)
+            changes += [
+                Change(
+                    part=GAINED if difference.name in gained else part,
+                    name=difference.name,
+                    before=_text(difference.before, difference.now),
+                    now=_text(difference.now, difference.before),
+                )
+                for difference in differences
+            ]
+        return changes
 
 
 def check_unchanged(
@@ -167,121 +184,171 @@ def check_unchanged(
     changes = tuple(trained_in.changes(TaskDigest.of(env, group)))
     refused = [change for change in changes if change.refused]
     if refused and not allow:
-        lines = "".join(f"\n  {line}" for line in _shown(refused))
-        message = f"{name} was {_DONE[made]} in another task ({made} -> now):{lines}"
+        lines = "".join(f"\n  {line}" for line in _lines(refused))
+        message = f"{name} was {_PARTICIPLE[made]} in another task ({made} -> now):{lines}"
         raise ConfigError(f"{message}\n  {ALLOW} accepts this")
-    for line in _shown(list(changes)):
+    for line in _lines(list(changes)):
         _log.warning("%s: changed since %s: %s", name, made, line)
     return changes
 
 
-def _shown(changes: list[Change]) -> list[str]:
+def _lines(changes: list[Change]) -> list[str]:
     lines = [str(change) for change in changes[:_MOST_SHOWN]]
     more = len(changes) - len(lines)
-    return [*lines, f"... and {more} more"] if more else lines
+    if more:
+        lines.append(f"... and {more} more")
+    return lines
 
 
-def _model(before: Any, now: Any) -> Iterator[_Difference]:
-    """Differences of two models: removed and new elements, and fields of the others."""
-    for element in dict.fromkeys([*before, *now]):
-        if element in before and element in now:
-            for field in dict.fromkeys([*before[element], *now[element]]):
-                values = before[element].get(field, 0), now[element].get(field, 0)
-                yield from _walk(f"{element}: {field}", *values)
-        elif element in before:
-            yield element, "there", None
-        else:
-            yield element, None, "here"
+# -- comparing ------------------------------------------------------------------------------------
 
 
-def _section(part: str, before: Any, now: Any) -> Iterator[_Difference]:
-    """Differences of two sections, named by config keys."""
-    name = _NAMES.get(part, f"task.{part}.")
-    if not isinstance(before or now, Mapping):
-        yield from _walk(name, before, now)
-        return
-    a, b = before or {}, now or {}
-    for key in dict.fromkeys([*a, *b]):
-        yield from _walk(f"{name}{key}", a.get(key), b.get(key))
+@dataclass(frozen=True, slots=True)
+class _Difference:
+    """A value that differs; None where there is none.
 
-
-def _in_words_of_today(section: Mapping[str, Any]) -> dict[str, Any]:
-    """Terms with the present names of their references; older digests have EmbodiChain's."""
-    terms = {name: term for name, term in section.items() if isinstance(term, Mapping)}
-    return {**section, **{name: _with_renamed_references(term) for name, term in terms.items()}}
-
-
-def _with_renamed_references(term: Mapping[str, Any]) -> dict[str, Any]:
-    parts = {key: term[key] for key in ("params", "takes") if isinstance(term.get(key), Mapping)}
-    renamed = {
-        key: {REFERENCE_WORDS.get(name, name): value for name, value in values.items()}
-        for key, values in parts.items()
-    }
-    return {**term, **renamed}
-
-
-def _without_gained(
-    part: str, before: Mapping[str, Any], now: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, Any], set[str]]:
-    """Leave out parameters at their default that a term did not have before.
-
-    Returns:
-        Two sections without ``takes``; and the names of parameters that may be such, where the
-        digest is of a version that did not say which parameters there were.
+    Attributes:
+        name: Its name: ``joint panda/panda_joint7: damping``, ``task.events.push.mode``.
+        before: Its value in training.
+        now: Its value here.
     """
-    left: dict[str, Any] = {}
-    gained: set[str] = set()
-    for name, term in now.items():
-        earlier = before.get(name)
-        left[name] = term
-        if not (isinstance(term, Mapping) and isinstance(earlier, Mapping)):
-            continue
-        params, had = dict(term.get("params", {})), earlier.get("takes")
-        for key, kind in term.get("takes", {}).items():
-            if kind != "default" or key in (earlier.get("params", {}) if had is None else had):
-                continue
-            if had is None:
-                gained.add(f"task.{part}.{name}.params.{key}")
-            else:
-                params.pop(key, None)
-        left[name] = {**term, "params": params}
-    return _without_takes(before), _without_takes(left), gained
+
+    name: str
+    before: Any
+    now: Any
 
 
-def _without_takes(section: Mapping[str, Any]) -> dict[str, Any]:
-    terms = {name: term for name, term in section.items() if isinstance(term, Mapping)}
-    bare = {name: {k: v for k, v in term.items() if k != "takes"} for name, term in terms.items()}
-    return {**section, **bare}
+def _compare_models(before: Any, now: Any) -> Iterator[_Difference]:
+    """Compare two models: removed and new elements, and fields of the others."""
+    for element in dict.fromkeys([*before, *now]):
+        if element not in now:
+            yield _Difference(element, "there", None)
+        elif element not in before:
+            yield _Difference(element, None, "here")
+        else:
+            for field in dict.fromkeys([*before[element], *now[element]]):
+                # Fields that are zero are not written.
+                value_before = before[element].get(field, 0)
+                value_now = now[element].get(field, 0)
+                yield from _compare_values(f"{element}: {field}", value_before, value_now)
 
 
-def _walk(name: str, before: Any, now: Any) -> Iterator[_Difference]:
-    """The innermost values that differ within two values."""
+def _compare_sections(part: str, before: Any, now: Any) -> Iterator[_Difference]:
+    """Compare two sections; values are named by config keys."""
+    prefix = _NAMES.get(part, f"task.{part}.")
+    if not isinstance(before or now, Mapping):
+        yield from _compare_values(prefix, before, now)
+        return
+    before = before or {}
+    now = now or {}
+    for key in dict.fromkeys([*before, *now]):
+        yield from _compare_values(f"{prefix}{key}", before.get(key), now.get(key))
+
+
+def _compare_values(name: str, before: Any, now: Any) -> Iterator[_Difference]:
+    """Find the innermost values that differ within two values."""
     if isinstance(before, Mapping) and isinstance(now, Mapping):
         for key in dict.fromkeys([*before, *now]):
-            yield from _walk(f"{name}.{key}", before.get(key), now.get(key))
+            yield from _compare_values(f"{name}.{key}", before.get(key), now.get(key))
     elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
-        different = [i for i, pair in enumerate(zip(before, now, strict=True)) if not _same(*pair)]
+        different = [i for i in range(len(now)) if not _is_same(before[i], now[i])]
         if len(different) == 1:
-            yield from _walk(f"{name}[{different[0]}]", before[different[0]], now[different[0]])
+            index = different[0]
+            yield from _compare_values(f"{name}[{index}]", before[index], now[index])
         elif different:
-            yield name, before, now
-    elif not _same(before, now):
-        yield name, before, now
+            yield _Difference(name, before, now)
+    elif not _is_same(before, now):
+        yield _Difference(name, before, now)
 
 
-def _same(a: Any, b: Any) -> bool:
+def _is_same(a: Any, b: Any) -> bool:
     if isinstance(a, (int, float)) and isinstance(b, (int, float)):
-        return math.isclose(a, b, rel_tol=_RELATIVE, abs_tol=_ABSOLUTE)
+        return math.isclose(a, b, rel_tol=_RELATIVE_TOLERANCE, abs_tol=_ABSOLUTE_TOLERANCE)
     if isinstance(a, list) and isinstance(b, list):
-        return len(a) == len(b) and all(map(_same, a, b))
+        return len(a) == len(b) and all(map(_is_same, a, b))
     return bool(a == b) or not (a or b)  # zero, false and empty values are not written
 
 
+# -- terms of older digests -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _ComparedTerms:
+    """A section of terms as it was and is, without what only differs by the version.
+
+    Attributes:
+        before: The section in training, without ``takes``.
+        now: The section here, likewise, and without parameters at their default that a term did
+            not have in training.
+        gained: Names of parameters that may be such, where the digest is of a version that did not
+            say which parameters there were.
+    """
+
+    before: Mapping[str, Any]
+    now: Mapping[str, Any]
+    gained: set[str]
+
+
+def _compared_terms(
+    section: str, before: Mapping[str, Any], now: Mapping[str, Any]
+) -> _ComparedTerms:
+    terms_before = _rename_references(before)
+    terms_now = _rename_references(now)
+    gained: set[str] = set()
+    for name, term in terms_now.items():
+        earlier = terms_before.get(name)
+        if not (isinstance(term, Mapping) and isinstance(earlier, Mapping)):
+            continue
+        earlier_takes: Any = earlier.get("takes")
+        # A digest of an old version does not say which parameters a term had, only which were set.
+        is_old = earlier_takes is None
+        earlier_names = earlier.get("params", {}) if is_old else earlier_takes
+        params = dict(term.get("params", {}))
+        for key, kind in term.get("takes", {}).items():
+            if kind != "default" or key in earlier_names:
+                continue
+            if is_old:
+                gained.add(f"task.{section}.{name}.params.{key}")
+            else:
+                params.pop(key, None)
+        terms_now[name] = {**term, "params": params}
+    return _ComparedTerms(_remove_takes(terms_before), _remove_takes(terms_now), gained)
+
+
+def _rename_references(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Return terms with the present names of their references; older digests have EmbodiChain's."""
+    terms = dict(section)
+    for name, term in section.items():
+        if not isinstance(term, Mapping):
+            continue
+        renamed = dict(term)
+        for key in ("params", "takes"):
+            values = term.get(key)
+            if isinstance(values, Mapping):
+                renamed[key] = {REFERENCE_WORDS.get(n, n): value for n, value in values.items()}
+        terms[name] = renamed
+    return terms
+
+
+def _remove_takes(section: Mapping[str, Any]) -> dict[str, Any]:
+    terms = dict(section)
+    for name, term in section.items():
+        if isinstance(term, Mapping):
+            terms[name] = {key: value for key, value in term.items() if key != "takes"}
+    return terms
+
+
+# -- words ----------------------------------------------------------------------------------------
+
+
 def _text(value: Any, other: Any) -> str:
-    """A value on one line; a missing value as the default implied by the other one."""
+    """Return a value on one line; a missing value as the default implied by the other one."""
     if value is None or value == 0:
-        nothing = {bool: "false", int: "0", float: "0"}
-        return nothing.get(type(other), "none" if value is None else "0")
+        if isinstance(other, bool):
+            return "false"
+        if value is None and not isinstance(other, (int, float)):
+            return "none"
+        return "0"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):

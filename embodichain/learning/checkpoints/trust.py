@@ -25,7 +25,7 @@ def needs_trust(file: Path, why: str, names: Iterable[str]) -> NeedsTrust:
 
     Args:
         file: The file.
-        why: What in it is no data.
+        why: What in it is not data.
         names: Functions and classes that would be run.
     """
     message = f"{file} cannot be read without running code of it: {why}. "
@@ -40,7 +40,9 @@ def say_trusted(file: Path, names: Iterable[str]) -> None:
 
 def listed(names: Iterable[str]) -> str:
     """Return the first names of functions and classes as a list in words."""
-    found = list(names)
-    more = len(found) - _MOST_NAMES
-    text = ", ".join(found[:_MOST_NAMES]) or "what cannot be told"
-    return f"{text} and {more} more" if more > 0 else text
+    all_names = list(names)
+    text = ", ".join(all_names[:_MOST_NAMES]) or "what cannot be told"
+    more = len(all_names) - _MOST_NAMES
+    if more > 0:
+        return f"{text} and {more} more"
+    return text

@@ -32,12 +32,15 @@ __all__ = ["PLAY_SEED_OFFSET", "BehaviorCloning"]
 PLAY_SEED_OFFSET = 2**33
 """Added to the seed of the episodes that are played while learning: other ones than those of
 collections, trainings and evaluations."""
-_ROWS = 200
+_LOG_ROWS = 200
 """Rows of a training's log."""
-_LONGEST = 1000
+_LONGEST_EPISODE = 1000
 """Control steps played of an episode without a limit."""
-_VALIDATED = 8192
+_VALIDATION_STEPS = 8192
 """Most steps of demonstrations on which the validation loss is computed."""
+# First entries of the seeds of separate generators.
+_SPLIT_STREAM = 0
+_BATCH_STREAM = 1
 
 
 class BehaviorCloning(BaseAlgorithm):
@@ -128,8 +131,8 @@ class BehaviorCloning(BaseAlgorithm):
             ConfigError: If no episode remains for learning or for validation.
         """
         count = len(found.lengths)
-        held = round(count * self.validation_share)
-        if self.validation_share and (held == 0 or held == count):
+        held_out_count = round(count * self.validation_share)
+        if self.validation_share and held_out_count in (0, count):
             message = f"{self.validation_share} of {count} episodes leaves none on one side"
             raise ConfigError([Problem("algo.validation_share", message)])
         observations: Any = found.observations
@@ -138,13 +141,15 @@ class BehaviorCloning(BaseAlgorithm):
             learn_scales(normalizer, found, rewards=False)
             normalizer.training = False
             statistics = NormalizeStatistics.of(normalizer)
-            alone = "" in observations
-            scaled = statistics.normalize(observations[""] if alone else observations)
-            observations = {"": scaled} if alone else scaled
-        order = np.random.default_rng([self.seed or 0, 0]).permutation(count)
-        validation = np.isin(found.episode, order[:held])
-        self._data = _Batches(observations, found, np.flatnonzero(~validation))
-        self._held_out = _Batches(observations, found, np.flatnonzero(validation))
+            if "" in observations:
+                observations = {"": statistics.normalize(observations[""])}
+            else:
+                observations = statistics.normalize(observations)
+        generator = np.random.default_rng([self.seed or 0, _SPLIT_STREAM])
+        held_out_episodes = generator.permutation(count)[:held_out_count]
+        is_held_out = np.isin(found.episode, held_out_episodes)
+        self._data = _Batches(observations, found, np.flatnonzero(~is_held_out))
+        self._held_out = _Batches(observations, found, np.flatnonzero(is_held_out))
 
     def learn(
         self,
@@ -174,39 +179,44 @@ class BehaviorCloning(BaseAlgorithm):
         data = self._data
         if data is None:
             raise ValueError("there is nothing to learn from: call set_demonstrations first")
-        total, watch = self._setup_learn(
-            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+        total, callbacks = self._setup_learn(
+            total_timesteps,
+            callback,
+            reset_num_timesteps,
+            tb_log_name=tb_log_name,
+            progress_bar=progress_bar,
         )
-        watch.on_training_start(locals(), globals())
-        every = self.play_every or total
-        row = -(-total // _ROWS)
+        callbacks.on_training_start(locals(), globals())
+        play_every = self.play_every or total
+        row_steps = -(-total // _LOG_ROWS)
         if self._next_play is None or reset_num_timesteps:
-            self._next_play = self.num_timesteps + every
+            self._next_play = self.num_timesteps + play_every
         while self.num_timesteps < total:
-            self._train(data, min(self.num_timesteps + row, total), watch)
-            watch.on_rollout_start()
+            self._train(data, min(self.num_timesteps + row_steps, total), callbacks)
+            callbacks.on_rollout_start()
             if self.num_timesteps >= min(self._next_play, total):
-                self._next_play = self.num_timesteps + every
-                self._play(watch)
-            watch.on_rollout_end()
+                self._next_play = self.num_timesteps + play_every
+                self._play(callbacks)
+            callbacks.on_rollout_end()
             self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
             self.logger.dump(step=self.num_timesteps)
             if self.after_row is not None:
                 self.after_row()
-        watch.on_training_end()
+        callbacks.on_training_end()
         return self
 
-    def _train(self, data: _Batches, until: int, watch: BaseCallback) -> None:
+    def _train(self, data: _Batches, until: int, callbacks: BaseCallback) -> None:
         """Update the policy with batches until so many steps were used."""
-        policy, losses = self.policy, []
+        policy = self.policy
+        losses: list[float] = []
         policy.set_training_mode(True)
         self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
         self._update_learning_rate(policy.optimizer)
-        watch.update_locals({"infos": [], "dones": np.zeros(0, np.bool_)})
+        callbacks.update_locals({"infos": [], "dones": np.zeros(0, np.bool_)})
         while self.num_timesteps < until:
             # One generator for each update, so that a resumed training draws the same batches.
-            drawn = np.random.default_rng([self.seed or 0, 1, self._n_updates])
-            loss = self._loss(data, drawn.integers(data.count, size=self.batch_size))
+            generator = np.random.default_rng([self.seed or 0, _BATCH_STREAM, self._n_updates])
+            loss = self._loss(data, generator.integers(data.count, size=self.batch_size))
             policy.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(policy.parameters(), self.max_grad_norm)
@@ -214,24 +224,24 @@ class BehaviorCloning(BaseAlgorithm):
             losses.append(loss.item())
             self._n_updates += 1
             self.num_timesteps += self.batch_size
-            watch.on_step()
+            callbacks.on_step()
         self.logger.record("train/loss", float(np.mean(losses)))
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        held = self._held_out
-        if held is not None and held.count:
+        held_out = self._held_out
+        if held_out is not None and held_out.count:
             policy.set_training_mode(False)
-            stride = -(-held.count // _VALIDATED)
+            stride = -(-held_out.count // _VALIDATION_STEPS)
             with torch.no_grad():
-                loss = self._loss(held, np.arange(0, held.count, stride))
+                loss = self._loss(held_out, np.arange(0, held_out.count, stride))
             self.logger.record("train/validation_loss", loss.item())
 
-    def _loss(self, data: _Batches, picked: NDArray[np.int64]) -> torch.Tensor:
-        seen, wanted, inside = data.batch(picked, self.chunk_size, self.device)
-        differences = (self.policy.chunks(seen) - wanted).square().mean(dim=-1)
-        loss: torch.Tensor = (differences * inside).sum() / inside.sum()
-        return loss
+    def _loss(self, data: _Batches, numbers: NDArray[np.int64]) -> torch.Tensor:
+        """Return the mean squared difference from the actions of some steps and the next ones."""
+        observations, actions, is_inside = data.batch(numbers, self.chunk_size, self.device)
+        differences = (self.policy.chunks(observations) - actions).square().mean(dim=-1)
+        return (differences * is_inside).sum() / is_inside.sum()
 
-    def _play(self, watch: BaseCallback) -> None:
+    def _play(self, callbacks: BaseCallback) -> None:
         """Play one episode in each environment; callbacks see their ends."""
         env = self.env
         if env is None:
@@ -240,25 +250,28 @@ class BehaviorCloning(BaseAlgorithm):
         obs: Any = env.reset()
         memory: Any = None
         starts = np.ones(env.num_envs, np.bool_)
-        left = starts.copy()
-        ends: list[dict[str, Any]] = []
+        is_playing = starts.copy()
+        final_infos: list[dict[str, Any]] = []
         limit = env.get_attr("max_episode_steps")[0]
-        for _ in range(limit if limit > 0 else _LONGEST):
+        if limit <= 0:
+            limit = _LONGEST_EPISODE
+        for _ in range(limit):
             actions, memory = self.policy.predict(obs, memory, starts)
             obs, _, dones, infos = env.step(actions)
             starts = dones
-            ended = dones & left
-            left &= ~dones
-            ends += [infos[i] for i in np.flatnonzero(ended)]
-            watch.update_locals({"infos": infos, "dones": ended})
-            watch.on_step()
-            if not left.any():
+            ended = dones & is_playing
+            is_playing &= ~dones
+            final_infos += [infos[i] for i in np.flatnonzero(ended)]
+            callbacks.update_locals({"infos": infos, "dones": ended})
+            callbacks.on_step()
+            if not is_playing.any():
                 break
-        if ends:
-            episodes = [info["episode"] for info in ends]
-            self.logger.record("rollout/ep_rew_mean", safe_mean([e["r"] for e in episodes]))
-            self.logger.record("rollout/ep_len_mean", safe_mean([e["l"] for e in episodes]))
-        successes = [info["is_success"] for info in ends if "is_success" in info]
+        if final_infos:
+            returns = [info["episode"]["r"] for info in final_infos]
+            lengths = [info["episode"]["l"] for info in final_infos]
+            self.logger.record("rollout/ep_rew_mean", safe_mean(returns))
+            self.logger.record("rollout/ep_len_mean", safe_mean(lengths))
+        successes = [info["is_success"] for info in final_infos if "is_success" in info]
         if successes:
             self.logger.record("rollout/success_rate", safe_mean(successes))
 
@@ -273,36 +286,43 @@ class _Batches:
     """Some steps of demonstrations, as batches of tensors.
 
     Args:
-        observations: Those of `found`, normalized.
-        found: The demonstrations.
+        observations: Those of the demonstrations, normalized.
+        demonstrations: The demonstrations.
         steps: (n,) the steps.
 
     Attributes:
         count: n.
     """
 
-    def __init__(self, observations: Any, found: Demonstrations, steps: NDArray[np.int64]) -> None:
-        self._observations, self._actions = observations, found.actions
-        self._steps, self._before = steps, found.before[steps]
-        self._last = (np.cumsum(found.lengths) - 1)[found.episode[steps]]
+    def __init__(
+        self, observations: Any, demonstrations: Demonstrations, steps: NDArray[np.int64]
+    ) -> None:
+        last_steps = np.cumsum(demonstrations.lengths) - 1
         self.count = len(steps)
+        self._observations = observations
+        self._actions = demonstrations.actions
+        self._steps = steps
+        # Of each step: the row of its observation, and the last step of its episode.
+        self._before = demonstrations.before[steps]
+        self._last = last_steps[demonstrations.episode[steps]]
 
     def batch(
-        self, picked: NDArray[np.int64], size: int, device: torch.device
+        self, numbers: NDArray[np.int64], size: int, device: torch.device
     ) -> tuple[Any, torch.Tensor, torch.Tensor]:
         """Return observations (B, ...), the actions (B, H, A), and whether these exist (B, H).
 
         Args:
-            picked: (B,) numbers from 0 to n - 1.
+            numbers: (B,) numbers from 0 to n - 1.
             size: H.
             device: Where the tensors are.
         """
-        chunk = self._steps[picked][:, None] + np.arange(size)
-        last = self._last[picked][:, None]
+        chunk = self._steps[numbers][:, None] + np.arange(size)
+        last = self._last[numbers][:, None]
         actions = torch.from_numpy(self._actions[np.minimum(chunk, last)]).to(device)
-        inside = torch.from_numpy((chunk <= last).astype(np.float32)).to(device)
-        rows = self._before[picked]
-        seen = {
-            key: torch.from_numpy(part[rows]).to(device) for key, part in self._observations.items()
+        is_inside = torch.from_numpy((chunk <= last).astype(np.float32)).to(device)
+        rows = self._before[numbers]
+        observations = {
+            key: torch.from_numpy(entry[rows]).to(device)
+            for key, entry in self._observations.items()
         }
-        return seen.get("", seen), actions, inside
+        return observations.get("", observations), actions, is_inside

@@ -74,22 +74,29 @@ class ChunkPolicy(BasePolicy):
             optimizer_class=optimizer_class,
             optimizer_kwargs=optimizer_kwargs,
         )
-        self.chunk_size, self.ensemble_decay = chunk_size, ensemble_decay
+        self.chunk_size = chunk_size
+        self.ensemble_decay = ensemble_decay
+        # Entries of a Dict, or columns of a Box; without any, all of the observation is read.
         self._read: list[Any] = []
-        seen = observation_space
-        if isinstance(seen, spaces.Dict):
-            self._read = [key for key in seen if key not in ignored]
-            seen = spaces.Dict({key: seen[key] for key in self._read})
-        elif ignored and isinstance(seen, spaces.Box):
-            self._read = [i for i in range(seen.shape[0]) if i not in ignored]
-            seen = spaces.Box(seen.low[self._read], seen.high[self._read], dtype=np.float32)
-        self._seen = seen
+        read_space = observation_space
+        if isinstance(observation_space, spaces.Dict):
+            self._read = [key for key in observation_space if key not in ignored]
+            read_space = spaces.Dict({key: observation_space[key] for key in self._read})
+        elif ignored and isinstance(observation_space, spaces.Box):
+            self._read = [i for i in range(observation_space.shape[0]) if i not in ignored]
+            low = observation_space.low[self._read]
+            high = observation_space.high[self._read]
+            read_space = spaces.Box(low, high, dtype=np.float32)
+        self._read_space = read_space
         self.features_extractor = self.features_extractor_class(
-            seen, **self.features_extractor_kwargs
+            read_space, **self.features_extractor_kwargs
         )
-        widths = [256, 256] if net_arch is None else net_arch
-        count = chunk_size * int(action_space.shape[0])
-        layers = create_mlp(self.features_extractor.features_dim, count, widths, activation_fn)
+        layers = create_mlp(
+            input_dim=self.features_extractor.features_dim,
+            output_dim=chunk_size * int(action_space.shape[0]),
+            net_arch=[256, 256] if net_arch is None else net_arch,
+            activation_fn=activation_fn,
+        )
         self.network = torch.nn.Sequential(*layers)
         arguments: Any = {"lr": lr_schedule(1), **self.optimizer_kwargs}
         self.optimizer = optimizer_class(self.parameters(), **arguments)
@@ -106,10 +113,9 @@ class ChunkPolicy(BasePolicy):
             read = {key: observation[key] for key in self._read}
         elif self._read:
             read = observation[:, self._read]
-        seen = preprocess_obs(read, self._seen, normalize_images=self.normalize_images)
-        features = self.features_extractor(seen)
-        found: torch.Tensor = self.network(features).unflatten(1, (self.chunk_size, -1))
-        return found
+        scaled = preprocess_obs(read, self._read_space, normalize_images=self.normalize_images)
+        features = self.features_extractor(scaled)
+        return self.network(features).unflatten(1, (self.chunk_size, -1))
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> torch.Tensor:
         """Return (B, A) actions for the current step from this observation alone."""
@@ -138,16 +144,16 @@ class ChunkPolicy(BasePolicy):
         memory: Any = state
         chunks = self.plan(observation)
         actions, memory = blend(chunks, memory, episode_start, self.ensemble_decay)
-        vectorized = self.is_vectorized_observation(observation)
-        return (actions if vectorized else actions[0]), memory
+        if not self.is_vectorized_observation(observation):
+            return actions[0], memory
+        return actions, memory
 
     def plan(self, observation: Any) -> NDArray[np.float32]:
         """Return (N, H, A) actions in [-1, 1] for this step and the next ones."""
         self.set_training_mode(False)
         batch, _ = self.obs_to_tensor(observation)
         with torch.no_grad():
-            found: NDArray[np.float32] = self.chunks(batch).clamp(-1.0, 1.0).cpu().numpy()
-        return found
+            return self.chunks(batch).clamp(-1.0, 1.0).cpu().numpy()
 
 
 class CnnChunkPolicy(ChunkPolicy):

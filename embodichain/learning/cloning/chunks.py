@@ -32,17 +32,21 @@ def blend(
         (N, A) actions, and the memory for the next step; arguments are unchanged.
     """
     if memory is None:
-        sums, weights = np.zeros_like(chunks), np.zeros(chunks.shape[:2], np.float32)
+        sums = np.zeros_like(chunks)
+        weights = np.zeros(chunks.shape[:2], np.float32)
     else:
-        sums, weights = memory[0].copy(), memory[1].copy()
+        sums = memory[0].copy()
+        weights = memory[1].copy()
     if starts is not None:
-        sums[starts], weights[starts] = 0.0, 0.0
+        sums[starts] = 0.0
+        weights[starts] = 0.0
     # After n predictions the weights' sum is (1 - exp(-decay n)) / (1 - exp(-decay)).
     latest = 1.0 - weights * np.float32(-np.expm1(-decay))
     sums += latest[..., None] * chunks
     weights += latest
     actions = sums[:, 0] / weights[:, :1]
-    following = np.roll(sums, -1, axis=1), np.roll(weights, -1, axis=1)
-    for part in following:
-        part[:, -1] = 0.0
-    return actions, following
+    next_sums = np.roll(sums, -1, axis=1)
+    next_sums[:, -1] = 0.0
+    next_weights = np.roll(weights, -1, axis=1)
+    next_weights[:, -1] = 0.0
+    return actions, (next_sums, next_weights)

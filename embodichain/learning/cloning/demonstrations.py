@@ -72,27 +72,30 @@ class Demonstrations:
         Raises:
             ConfigError: If there is no episode, or its observations or actions are not the task's.
         """
-        seen: list[Entries] = []
+        observations: list[Entries] = []
         actions: list[F32] = []
         rewards: list[F32] = []
         terminated: list[bool] = []
         for episode in episodes:
             try:
-                seen.append(env.recorded_view(episode.observations))
+                observations.append(env.recorded_view(episode.observations))
                 actions.append(env.recorded_actions(episode.actions))
             except ValueError as error:
                 message = f"its episodes are not of this task: {error}"
                 raise ConfigError([Problem("dataset", message)]) from error
             rewards.append(np.asarray(episode.rewards, np.float32))
             terminated.append(bool(episode.terminated))
-        if not seen:
+        if not observations:
             raise ConfigError([Problem("dataset", "it has no successful episode")])
         return cls(
-            {key: np.concatenate([part[key] for part in seen]) for key in seen[0]},
-            np.concatenate(actions),
-            np.concatenate(rewards),
-            np.array([len(part) for part in actions], np.int64),
-            np.array(terminated, np.bool_),
+            observations={
+                key: np.concatenate([entries[key] for entries in observations])
+                for key in observations[0]
+            },
+            actions=np.concatenate(actions),
+            rewards=np.concatenate(rewards),
+            lengths=np.array([len(episode_actions) for episode_actions in actions], np.int64),
+            terminated=np.array(terminated, np.bool_),
         )
 
     @property
@@ -112,8 +115,9 @@ class Demonstrations:
 
     def rows(self, numbers: NDArray[np.int64]) -> Any:
         """Rows of the observations: an array (n, ...), or a dict of them."""
-        found = {key: part[numbers] for key, part in self.observations.items()}
-        return found.get("", found)
+        if "" in self.observations:
+            return self.observations[""][numbers]
+        return {key: entry[numbers] for key, entry in self.observations.items()}
 
     @property
     def checksum(self) -> int:
@@ -132,22 +136,23 @@ def learn_scales(normalizer: VecNormalize, found: Demonstrations, *, rewards: bo
     if normalizer.norm_obs:
         scales: Any = normalizer.obs_rms
         for key in number_keys(normalizer.observation_space):
-            one = scales[key] if isinstance(scales, dict) else scales
-            one.update(np.asarray(found.observations[key], np.float64))
+            entry_scales = scales[key] if isinstance(scales, dict) else scales
+            entry_scales.update(np.asarray(found.observations[key], np.float64))
     if rewards and normalizer.norm_reward:
         normalizer.ret_rms.update(_returns(found, normalizer.gamma))
 
 
-def _returns(found: Demonstrations, gamma: float) -> NDArray[np.float64]:
+def _returns(demonstrations: Demonstrations, gamma: float) -> NDArray[np.float64]:
     """(M,) the discounted sum of the rewards up to each step, as `VecNormalize` counts them."""
-    returns = np.zeros(found.steps)
-    starts = np.cumsum(found.lengths) - found.lengths
+    lengths = demonstrations.lengths
+    returns = np.zeros(demonstrations.steps)
+    starts = np.cumsum(lengths) - lengths
     running = np.zeros(len(starts))
-    for t in range(int(found.lengths.max())):
-        alive = t < found.lengths
-        rows = starts[alive] + t
-        running[alive] = running[alive] * gamma + found.rewards[rows]
-        returns[rows] = running[alive]
+    for t in range(int(lengths.max())):
+        is_running = t < lengths
+        rows = starts[is_running] + t
+        running[is_running] = running[is_running] * gamma + demonstrations.rewards[rows]
+        returns[rows] = running[is_running]
     return returns
 
 
@@ -157,7 +162,7 @@ def fill(buffer: ReplayBuffer, found: Demonstrations) -> int:
     A buffer has a column for each environment. Episodes are cut into columns of equal length; where
     an episode is cut, the transition is marked as truncated, which changes no target of one step
     and ends the sums of n-step returns. The last column is filled up with its first transitions
-    again, if M is no multiple of the number of columns.
+    again, if M is not a multiple of the number of columns.
 
     Args:
         buffer: The buffer of a model that has not learned yet.
@@ -175,23 +180,23 @@ def fill(buffer: ReplayBuffer, found: Demonstrations) -> int:
         room = buffer.buffer_size * columns
         message = f"has room for {room:,} transitions, the data set has {found.steps:,}"
         raise ConfigError([Problem("algo.buffer_size", message)])
-    order = np.arange(rows * columns) % found.steps
-    last = np.zeros(found.steps, np.bool_)
-    last[np.cumsum(found.lengths) - 1] = True
-    dones = last[order]
-    timeouts = dones & ~found.terminated[found.episode[order]]
-    cut = ~dones
-    cut.reshape(columns, rows)[:, :-1] = False
-    dones |= cut
-    timeouts |= cut
-    before = found.before[order]
-    for places in np.arange(len(order)).reshape(columns, rows).T:
+    # (columns, rows): each column has `rows` steps, one after the other.
+    steps = (np.arange(rows * columns) % found.steps).reshape(columns, rows)
+    is_last = np.zeros(found.steps, np.bool_)
+    is_last[np.cumsum(found.lengths) - 1] = True
+    dones = is_last[steps]
+    timeouts = dones & ~found.terminated[found.episode[steps]]
+    # The end of a column cuts an episode that goes on in the next one.
+    timeouts[:, -1] |= ~dones[:, -1]
+    dones[:, -1] = True
+    before = found.before[steps]
+    for row in range(rows):
         buffer.add(
-            found.rows(before[places]),
-            found.rows(before[places] + 1),
-            found.actions[order[places]],
-            found.rewards[order[places]],
-            dones[places],
-            [{"TimeLimit.truncated": bool(out)} for out in timeouts[places]],
+            obs=found.rows(before[:, row]),
+            next_obs=found.rows(before[:, row] + 1),
+            action=found.actions[steps[:, row]],
+            reward=found.rewards[steps[:, row]],
+            done=dones[:, row],
+            infos=[{"TimeLimit.truncated": bool(is_cut)} for is_cut in timeouts[:, row]],
         )
-    return len(order)
+    return steps.size

@@ -35,19 +35,41 @@ __all__ = [
 ]
 
 PROGRESS = "progress.csv"
-STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
+# Columns of Stable-Baselines3's logger.
+STEPS = "time/total_timesteps"
+RETURN = "rollout/ep_rew_mean"
+SUCCESS = "rollout/success_rate"
 LENGTH = "rollout/ep_len_mean"
-"""Columns of Stable-Baselines3's logger."""
 _ROW_EPISODES = 100
 """Episodes that a row of `progress.csv` has its success rate from, once so many have ended."""
-# Keys that may differ in a group: the seed, and keys that change no number. `hydra` configures how
-# a sweep runs: launcher, sweeper, folders.
-_APART = (
-    *("seed", "output_dir", "quiet", "json", "traceback", "record", "viewer", "resume"),
-    *("eval", "video", "wandb", "checkpoint", "sim", "allow_changed", "hydra"),
+_SUMMARY_NUMBERS = (
+    "success_rate",
+    "mean_return",
+    "env_steps_per_second",
+    "train_seconds",
+    "env_steps",
+    "objective",
 )
-_FIRST = re.compile(r"[./@]")
-"""Separators after the first word of a key: ``hydra/launcher``, ``hydra.launcher.n_jobs``."""
+_IGNORED_KEYS = (
+    "seed",
+    "output_dir",
+    "quiet",
+    "json",
+    "traceback",
+    "record",
+    "viewer",
+    "resume",
+    "eval",
+    "video",
+    "wandb",
+    "checkpoint",
+    "sim",
+    "allow_changed",
+    "hydra",  # how a sweep runs: launcher, sweeper, folders
+)
+"""Keys that may differ in a group: the seed, and keys that change no number."""
+_SEPARATOR = re.compile(r"[./@]")
+"""What follows the first word of a key: ``hydra/launcher``, ``hydra.launcher.n_jobs``."""
 
 F64 = NDArray[np.float64]
 
@@ -95,10 +117,12 @@ class Group:
 
     def number(self, name: str) -> SeedEstimate | None:
         """Summarize a number over the runs; the interval is over seeds."""
-        known = [run for run in self.runs if name in run.numbers]
-        are_rates = any(name in run.trials for run in known)
-        trials = [run.trials.get(name, 0) for run in known] if are_rates else None
-        return over_seeds([run.numbers[name] for run in known], trials)
+        runs = [run for run in self.runs if name in run.numbers]
+        numbers = [run.numbers[name] for run in runs]
+        is_rate = any(name in run.trials for run in runs)
+        if not is_rate:
+            return over_seeds(numbers)
+        return over_seeds(numbers, [run.trials.get(name, 0) for run in runs])
 
 
 def is_training(folder: Path) -> bool:
@@ -118,8 +142,8 @@ def trainings_in(folder: Path) -> list[Path]:
     """
     if is_training(folder):
         return [folder]
-    found = [path for path in folder.iterdir() if path.is_dir() and is_training(path)]
-    return sorted(found, key=lambda path: (len(path.name), path.name))
+    trainings = [path for path in folder.iterdir() if path.is_dir() and is_training(path)]
+    return sorted(trainings, key=lambda path: (len(path.name), path.name))
 
 
 def read_run(folder: Path) -> TrainedRun:
@@ -128,34 +152,35 @@ def read_run(folder: Path) -> TrainedRun:
     Raises:
         ConfigError: If the folder is not that of a training, or a file in it is damaged.
     """
-    summary = _json(folder / SUMMARY)
+    summary = _read_json(folder / SUMMARY)
     if summary is None or "train_seconds" not in summary:
         raise ConfigError(f"{folder} has no finished training: no summary.json of one")
-    names = (
-        *("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps"),
-        "objective",
-    )
-    numbers = {n: float(summary[n]) for n in names if summary.get(n) is not None}
-    evaluated = _evaluated(folder) or summary.get("eval") or {}
-    for name, key, value in (("return", "returns", "mean"), ("success", "success", "rate")):
-        part = evaluated.get(key) or {}
-        if part.get(value) is not None:
-            numbers[f"eval_{name}"] = float(part[value])
-    task, algo = str(summary.get("task")), str(summary.get("algo"))
+    task = str(summary.get("task"))
+    algo = str(summary.get("algo"))
+    numbers: dict[str, float] = {}
     trials: dict[str, int] = {}
+    for name in _SUMMARY_NUMBERS:
+        if summary.get(name) is not None:
+            numbers[name] = float(summary[name])
     if "success_rate" in numbers:
         window = summary.get("num_envs") if algo == "bc" else EPISODE_WINDOW
         trials["success_rate"] = min(int(summary.get("episodes") or 0), int(window or 0))
-    if "eval_success" in numbers:
-        trials["eval_success"] = int((evaluated.get("success") or {}).get("trials") or 0)
-    objective = numbers.get("objective")
-    same = (n for n in ("eval_success", "success_rate") if n in trials and numbers[n] == objective)
-    rate = next(same, None)  # of tasks without success it is a return
-    if rate is not None:
-        trials["objective"] = trials[rate]
+    evaluation = _newest_evaluation(folder) or summary.get("eval") or {}
+    returns = evaluation.get("returns") or {}
+    if returns.get("mean") is not None:
+        numbers["eval_return"] = float(returns["mean"])
+    success = evaluation.get("success") or {}
+    if success.get("rate") is not None:
+        numbers["eval_success"] = float(success["rate"])
+        trials["eval_success"] = int(success.get("trials") or 0)
+    # The objective is one of the rates; of tasks without success it is a return.
+    for name in ("eval_success", "success_rate"):
+        if name in trials and numbers[name] == numbers.get("objective"):
+            trials["objective"] = trials[name]
+            break
     return TrainedRun(
         folder=folder,
-        parts=(task, algo, *_overrides(folder)),
+        parts=(task, algo, *_read_overrides(folder)),
         seed=summary.get("seed"),
         numbers=numbers,
         trials=trials,
@@ -170,17 +195,17 @@ def group_runs(runs: Iterable[TrainedRun]) -> list[Group]:
         ConfigError: If a folder is given twice, or two runs of a group have the same seed: their
             results are identical, and an interval over them would be too narrow.
     """
-    found: dict[str, list[TrainedRun]] = {}
+    members: dict[str, list[TrainedRun]] = {}
     for run in runs:
-        same = found.setdefault(run.label, [])
-        twin = next((r for r in same if r.seed == run.seed), None)
-        if twin is not None:
-            raise ConfigError(
-                f"{twin.folder} and {run.folder} are the same training with the same seed "
-                f"{run.seed}: name one of them"
-            )
-        same.append(run)
-    return [Group(label, tuple(same)) for label, same in found.items()]
+        group = members.setdefault(run.label, [])
+        for other in group:
+            if other.seed == run.seed:
+                raise ConfigError(
+                    f"{other.folder} and {run.folder} are the same training with the same seed "
+                    f"{run.seed}: name one of them"
+                )
+        group.append(run)
+    return [Group(label, tuple(group)) for label, group in members.items()]
 
 
 def best_group(groups: Sequence[Group], objective: float | None = None) -> Group | None:
@@ -190,11 +215,15 @@ def best_group(groups: Sequence[Group], objective: float | None = None) -> Group
         groups: The groups.
         objective: The best value of a search, which may minimize; its group is returned.
     """
-    means = {i: found.mean for i, g in enumerate(groups) if (found := g.number("objective"))}
+    means: dict[int, float] = {}
+    for index, group in enumerate(groups):
+        estimate = group.number("objective")
+        if estimate is not None:
+            means[index] = estimate.mean
     if not means:
         return None
     if objective is not None:
-        return groups[min(means, key=lambda i: abs(means[i] - objective))]
+        return groups[min(means, key=lambda index: abs(means[index] - objective))]
     return groups[max(means, key=means.__getitem__)]
 
 
@@ -208,10 +237,11 @@ def short_labels(groups: Sequence[Group]) -> tuple[str, list[str]]:
     if len(parts) < 2:
         return "", [group.label for group in groups]
     common = [part for part in parts[0] if all(part in other for other in parts)]
-    labels = [" ".join(part for part in own if part not in common) for own in parts]
-    return " ".join(common), [
-        label or group.label for label, group in zip(labels, groups, strict=True)
-    ]
+    labels = []
+    for group in groups:
+        label = " ".join(part for part in group.runs[0].parts if part not in common)
+        labels.append(label or group.label)
+    return " ".join(common), labels
 
 
 def band(
@@ -239,16 +269,19 @@ def band(
     rows = np.stack([np.interp(steps, curve.steps, curve.values) for curve in curves])
     mean: F64 = rows.mean(axis=0)
     trials = np.full(len(curves), _ROW_EPISODES) if share else None
-    found = [over_seeds(column, trials) for column in rows.T]
-    ends = [x.mean_interval for x in found if x is not None and x.mean_interval is not None]
-    if not ends:
+    intervals = []
+    for column in rows.T:
+        estimate = over_seeds(column, trials)
+        if estimate is not None and estimate.mean_interval is not None:
+            intervals.append(estimate.mean_interval)
+    if not intervals:
         return steps, mean, None, None
-    low, high = np.array(ends, np.float64).T
+    low, high = np.array(intervals, np.float64).T
     return steps, mean, low, high
 
 
-def _overrides(folder: Path) -> list[str]:
-    """The overrides, without the task and the keys that may differ in a group."""
+def _read_overrides(folder: Path) -> list[str]:
+    """Return the overrides without the task and the keys that may differ in a group, sorted."""
     try:
         lines = yaml.safe_load((folder / "overrides.yaml").read_text(encoding="utf-8")) or []
     except FileNotFoundError:
@@ -256,21 +289,25 @@ def _overrides(folder: Path) -> list[str]:
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {folder / 'overrides.yaml'}: {error}") from error
     # Without the +, which a sweep's jobs have before every override.
-    plain = [shown(str(line)).lstrip("+") for line in lines]
-    keys = {line: line.partition("=")[0].lstrip("~") for line in plain}
-    return sorted(
-        line for line, key in keys.items() if key != "task" and _FIRST.split(key)[0] not in _APART
-    )
+    overrides = {shown(str(line)).lstrip("+") for line in lines}
+    distinguishing = []
+    for override in overrides:
+        key = override.partition("=")[0].lstrip("~")
+        if key != "task" and _SEPARATOR.split(key)[0] not in _IGNORED_KEYS:
+            distinguishing.append(override)
+    return sorted(distinguishing)
 
 
-def _evaluated(folder: Path) -> dict[str, Any] | None:
-    """The newest evaluation of this training among the runs in the same folder."""
-    found: dict[int, dict[str, Any]] = {}
+def _newest_evaluation(folder: Path) -> dict[str, Any] | None:
+    """Return the newest evaluation of this training among the runs in the same folder."""
+    by_time: dict[int, dict[str, Any]] = {}
     for path in folder.parent.parent.glob("*/*/eval.json"):
-        data = _json(path) or {}
-        if Path(str(data.get("policy"))).is_relative_to(folder):
-            found[path.stat().st_mtime_ns] = data
-    return found[max(found)] if found else None
+        evaluation = _read_json(path) or {}
+        if Path(str(evaluation.get("policy"))).is_relative_to(folder):
+            by_time[path.stat().st_mtime_ns] = evaluation
+    if not by_time:
+        return None
+    return by_time[max(by_time)]
 
 
 def read_curves(
@@ -293,19 +330,23 @@ def read_curves(
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             rows = list(csv.DictReader(stream))
-        found: dict[str, Curve] = {}
-        for name in filter(wanted, filter(None, rows[0] if rows else ())):
+        names = list(rows[0]) if rows else []
+        curves: dict[str, Curve] = {}
+        for name in names:
+            if not name or not wanted(name):  # a row may have more cells than there are names
+                continue
             cells = [(row.get(STEPS), row.get(name)) for row in rows]
-            pairs = [(float(steps), float(value)) for steps, value in cells if steps and value]
-            if pairs:
-                steps, values = np.array(sorted(pairs)).T
-                found[name] = Curve(steps, values)
+            points = [(float(steps), float(value)) for steps, value in cells if steps and value]
+            if points:
+                steps, values = np.array(sorted(points)).T
+                curves[name] = Curve(steps, values)
     except (OSError, ValueError, csv.Error) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
-    return found
+    return curves
 
 
-def _json(path: Path) -> dict[str, Any] | None:
+def _read_json(path: Path) -> dict[str, Any] | None:
+    """Return the object in a JSON file; None if there is no file, or it is not an object."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

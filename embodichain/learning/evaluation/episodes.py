@@ -65,7 +65,8 @@ class TrainStatistics:
 
     def begin(self) -> None:
         """Start the clock."""
-        self._start, self._end = time.perf_counter(), None
+        self._start = time.perf_counter()
+        self._end = None
 
     def end(self) -> None:
         """Stop the clock."""
@@ -80,22 +81,24 @@ class TrainStatistics:
     @property
     def env_steps_per_second(self) -> float:
         """Environment steps per second, learning included."""
-        return self.env_steps / self.seconds if self.seconds > 0 else 0.0
+        if self.seconds <= 0:
+            return 0.0
+        return self.env_steps / self.seconds
 
     @property
     def mean_return(self) -> float | None:
         """Mean over the last episodes; None before the first."""
-        return float(np.mean(self._returns)) if self._returns else None
+        return _mean(self._returns)
 
     @property
     def mean_length(self) -> float | None:
         """Mean control steps of the last episodes; None before the first."""
-        return float(np.mean(self._lengths)) if self._lengths else None
+        return _mean(self._lengths)
 
     @property
     def success_rate(self) -> float | None:
         """Success rate of the last episodes; None before the first, or if success is undefined."""
-        return float(np.mean(self._successes)) if self._successes else None
+        return _mean(self._successes)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the statistics, for resuming the training."""
@@ -122,6 +125,17 @@ class TrainStatistics:
     @property
     def score(self) -> tuple[float, float] | None:
         """Score of a checkpoint: success rate, then mean return; None before the first episode."""
-        if self.mean_return is None:
+        mean_return = self.mean_return
+        if mean_return is None:
             return None
-        return (0.0 if self.success_rate is None else self.success_rate), self.mean_return
+        success_rate = self.success_rate
+        if success_rate is None:  # success is undefined: the return decides alone
+            success_rate = 0.0
+        return success_rate, mean_return
+
+
+def _mean(values: deque[Any]) -> float | None:
+    """Return the mean of some values; None without any."""
+    if not values:
+        return None
+    return float(np.mean(values))

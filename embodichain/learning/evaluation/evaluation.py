@@ -114,48 +114,52 @@ def evaluate(
     if not 0 <= seed <= LARGEST_TRAINING_SEED:
         raise ValueError(f"seed must be from 0 to {LARGEST_TRAINING_SEED}, got {seed}")
     require_torch_batch(env, "evaluate")
-    acting = _resolve(env, policy, deterministic, trust)
+    resolved_policy = _resolve_policy(env, policy, deterministic=deterministic, trust=trust)
     counted = EpisodeStatistics(env.num_envs, quotas(episodes, env.num_envs))
     # Forked, so that the caller's random numbers do not change.
-    forked = torch.random.fork_rng(devices=())
-    with forked, torch.no_grad(), at_stage(env, acting) as stage:
+    forked_generators = torch.random.fork_rng(devices=())
+    with forked_generators, torch.no_grad(), at_stage(env, resolved_policy) as stage:
         obs, _ = env.reset(seed=EVAL_SEED_OFFSET + seed)
-        acting.reset(None)
+        resolved_policy.reset(None)
         start = time.perf_counter()
-        for _ in play(env, acting, obs, counted):
+        for _ in play(env, resolved_policy, obs, counted):
             if watch is not None and watch(counted):
                 break
-    return _summary(counted, seed, time.perf_counter() - start, stage)
+    return _summarize(counted, seed, time.perf_counter() - start, stage)
 
 
 def quotas(episodes: int, num_envs: int) -> NDArray[np.int64]:
     """Return (N,) the number of episodes of each environment; the first may have one more."""
-    rest = np.arange(num_envs) < episodes % num_envs
-    return np.int64(episodes // num_envs) + rest.astype(np.int64)
+    has_one_more = np.arange(num_envs) < episodes % num_envs
+    return np.int64(episodes // num_envs) + has_one_more.astype(np.int64)
 
 
-def _resolve(env: BaseEnv, policy: Any, deterministic: bool, trust: bool) -> Policy:
+def _resolve_policy(env: BaseEnv, policy: Any, *, deterministic: bool, trust: bool) -> Policy:
     def load(path: Path) -> Policy:
         from embodichain.learning.policies.policy import load_policy
 
         return load_policy(path, env, deterministic=deterministic, trust=trust)
 
-    return load(policy) if isinstance(policy, Path) else resolve_policy(policy, load_file=load)
+    if isinstance(policy, Path):
+        return load(policy)
+    return resolve_policy(policy, load_file=load)
 
 
-def _summary(
+def _summarize(
     counted: EpisodeStatistics, seed: int, seconds: float, stage: dict[str, Any] | None
 ) -> Evaluation:
+    # By environment, then by time: not in the order of their ends, which may depend on N.
     order = np.lexsort((counted.column("episode"), counted.column("env")))
 
     def column(name: str) -> NDArray[Any]:
         return counted.column(name)[order]
 
-    names = counted.names()
-    success = column("success").astype(np.bool_) if "success" in names else None
-    listed = {name: column(name).tolist() for name in ("env", "return", "length")}
-    if success is not None:
-        listed["success"] = success.tolist()
+    per_episode = {name: column(name).tolist() for name in ("env", "return", "length")}
+    success: Rate | None = None
+    if "success" in counted.names():
+        successes = column("success").astype(np.bool_)
+        success = rate(successes)
+        per_episode["success"] = successes.tolist()
     return Evaluation(
         episodes=counted.episodes,
         complete=counted.complete,
@@ -166,13 +170,13 @@ def _summary(
         confidence=CONFIDENCE,
         returns=estimate(column("return")),
         length=estimate(column("length")),
-        success=rate(success) if success is not None else None,
+        success=success,
         terminated=int(counted.column("terminated").sum()),
         diverged=int(counted.column("diverged").sum()),
         rewards=_means(counted, "rewards/"),
         metrics=_means(counted, "metrics/"),
         curriculum=stage,
-        per_episode=listed,
+        per_episode=per_episode,
     )
 
 

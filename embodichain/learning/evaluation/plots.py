@@ -33,9 +33,11 @@ _TITLES = {
     LENGTH: "mean length (control steps)",
 }
 _CURRICULUM = "Curriculum/"
-_LINE = 90  # characters that fit the picture's width
+_LINE_WIDTH = 90
+"""Characters that fit the picture's width."""
 _MARGIN = 0.05
-_LEAST = 0.05
+"""Empty space beside the curves, as a share of an axis."""
+_SMALLEST_RANGE = 0.05
 """Smallest range of an axis, as a share of its largest value, so that small changes look flat."""
 _log = logging.getLogger(__name__)
 
@@ -59,29 +61,38 @@ def draw_curves(run_dir: Path) -> Path | None:
         return None
     from matplotlib.figure import Figure  # without pyplot: no display, no global state
 
-    stages = read_curves(run_dir / PROGRESS, lambda name: name.startswith(_CURRICULUM))
-    count = len(curves) + bool(stages)
+    curriculum = read_curves(run_dir / PROGRESS, lambda name: name.startswith(_CURRICULUM))
+    count = len(curves)
+    if curriculum:
+        count += 1
     figure = Figure(figsize=(5.0 * count, 3.5), layout="constrained")
     panels = figure.subplots(1, count, squeeze=False)[0]
-    for axes, name in zip(panels, [n for n in _TITLES if n in curves], strict=False):
-        steps, values = curves[name].steps, curves[name].values
-        axes.plot(steps, values, marker="o" if len(steps) == 1 else "")
-        set_axes(axes, float(steps[-1]), values.tolist(), share=name == SUCCESS)
+    names = [name for name in _TITLES if name in curves]
+    for axes, name in zip(panels, names, strict=False):
+        curve = curves[name]
+        axes.plot(curve.steps, curve.values, marker=_marker(curve))
+        set_axes(axes, float(curve.steps[-1]), curve.values.tolist(), share=name == SUCCESS)
         axes.set_title(_TITLES[name])
-    if stages:
-        _draw_curriculum(panels[-1], stages)
+    if curriculum:
+        _draw_curriculum(panels[-1], curriculum)
     path = run_dir / CURVES_FILE
     figure.savefig(path, dpi=100)
     return path
 
 
-def _draw_curriculum(axes: Any, stages: Mapping[str, Curve]) -> None:
-    for name, curve in sorted(stages.items()):
+def _marker(curve: Curve) -> str:
+    """Return the marker of a curve: a single point has no line to be seen."""
+    return "o" if len(curve.steps) == 1 else ""
+
+
+def _draw_curriculum(axes: Any, curves: Mapping[str, Curve]) -> None:
+    last_step = 0.0
+    values: list[float] = []
+    for name, curve in sorted(curves.items()):
         label = name.removeprefix(_CURRICULUM)
-        marker = "o" if len(curve.steps) == 1 else ""
-        axes.plot(curve.steps, curve.values, label=label, marker=marker)
-    last_step = max(float(curve.steps[-1]) for curve in stages.values())
-    values = [value for curve in stages.values() for value in curve.values.tolist()]
+        axes.plot(curve.steps, curve.values, label=label, marker=_marker(curve))
+        last_step = max(last_step, float(curve.steps[-1]))
+        values += curve.values.tolist()
     set_axes(axes, last_step, values, share=False)
     axes.set_title("curriculum")
     axes.legend(fontsize="small")
@@ -146,51 +157,53 @@ def _figure(groups: Sequence[Group], labels: Sequence[str]) -> Any:
     except ImportError as error:
         message = "curves need the package matplotlib: pip install 'embodichain[plot]'"
         raise ConfigError(message) from error
-    names = [
-        n
-        for n in (SUCCESS, RETURN)
-        if any(n in run.curves for group in groups for run in group.runs)
-    ]
+    runs = [run for group in groups for run in group.runs]
+    names = [name for name in (SUCCESS, RETURN) if any(name in run.curves for run in runs)]
     texts = [
-        _wrapped(f"{label}  (seeds: {len(group.runs)})")
+        _wrap(f"{label}  (seeds: {len(group.runs)})")
         for group, label in zip(groups, labels, strict=True)
     ]
     lines = sum(text.count("\n") + 1 for text in texts)
     figure = Figure(figsize=(7.0, 3.0 * len(names) + 0.2 * lines), layout="constrained")
     for axes, name in zip(figure.subplots(len(names), squeeze=False)[:, 0], names, strict=True):
-        _draw(axes, groups, name)
+        _draw_groups(axes, groups, name)
     # One legend, below the axes: labels of groups are as long as their overrides.
     colours = [Line2D([], [], color=f"C{i}") for i in range(len(groups))]
     figure.legend(colours, texts, loc="outside lower left", fontsize="small", frameon=False)
     return figure
 
 
-def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:
-    last_step, drawn = 0.0, list[float]()
+def _draw_groups(axes: Any, groups: Sequence[Group], name: str) -> None:
+    """Draw one quantity of all groups, each with its colour."""
+    is_share = name == SUCCESS
+    last_step = 0.0
+    values: list[float] = []
     for number, group in enumerate(groups):
         curves = [run.curves[name] for run in group.runs if name in run.curves]
         if not curves:
             continue
         try:
-            steps, mean, low, high = band(curves, share=name == SUCCESS)
+            steps, mean, low, high = band(curves, share=is_share)
         except ValueError as error:
             raise ConfigError(f"{group.label}: {error}") from error
-        single = all(len(curve.steps) == 1 for curve in curves)
-        axes.plot(steps, mean, color=f"C{number}", marker="o" if single else "")
+        color = f"C{number}"
+        are_points = all(len(curve.steps) == 1 for curve in curves)
+        axes.plot(steps, mean, color=color, marker="o" if are_points else "")
         last_step = max(last_step, float(steps[-1]))
         if low is not None and high is not None:
-            drawn += [*low.tolist(), *high.tolist()]
-            axes.fill_between(steps, low, high, alpha=0.2, color=f"C{number}", linewidth=0)
-            continue
-        for curve in curves:  # too few for an interval
-            drawn += curve.values.tolist()
-            axes.plot(curve.steps, curve.values, alpha=0.4, color=f"C{number}", linewidth=0.7)
+            axes.fill_between(steps, low, high, alpha=0.2, color=color, linewidth=0)
+            values += low.tolist()
+            values += high.tolist()
+        else:  # too few seeds for an interval
+            for curve in curves:
+                axes.plot(curve.steps, curve.values, alpha=0.4, color=color, linewidth=0.7)
+                values += curve.values.tolist()
     axes.set_ylabel(_TITLES[name])
-    set_axes(axes, last_step, drawn, share=name == SUCCESS)
+    set_axes(axes, last_step, values, share=is_share)
 
 
-def _wrapped(label: str) -> str:
-    return textwrap.fill(label, _LINE, break_on_hyphens=False, break_long_words=False)
+def _wrap(label: str) -> str:
+    return textwrap.fill(label, _LINE_WIDTH, break_on_hyphens=False, break_long_words=False)
 
 
 def set_axes(axes: Any, last_step: float, values: Iterable[float], *, share: bool) -> None:
@@ -204,11 +217,16 @@ def set_axes(axes: Any, last_step: float, values: Iterable[float], *, share: boo
     """
     from matplotlib.ticker import EngFormatter
 
-    drawn = list(values)
-    low, high = (0.0, 1.0) if share else (min(drawn), max(drawn))
-    least = _LEAST * max(abs(low), abs(high)) or 1.0
-    middle, half = (low + high) / 2, max(high - low, least) / 2
-    axes.set_ylim(middle - half * (1 + 2 * _MARGIN), middle + half * (1 + 2 * _MARGIN))
+    low = 0.0
+    high = 1.0
+    if not share:
+        values = list(values)
+        low = min(values)
+        high = max(values)
+    smallest_range = _SMALLEST_RANGE * max(abs(low), abs(high)) or 1.0
+    middle = (low + high) / 2
+    half = max(high - low, smallest_range) / 2 * (1 + 2 * _MARGIN)
+    axes.set_ylim(middle - half, middle + half)
     axes.set_xlim(0.0, max(last_step, 1.0) * (1 + _MARGIN))
     axes.set_xlabel("environment steps")
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 200k, 1M: long numbers overlap

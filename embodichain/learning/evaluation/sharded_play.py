@@ -21,10 +21,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Played", "play_shard", "play_sharded"]
 
-_FIRST, _MOST = 16, 4096
-"""Control steps of the first call, and of a call at most."""
-_SHORT, _LONG = 0.25, 1.0
-"""Seconds of a call: shorter ones take twice as many steps next time, longer ones half as many."""
+_FIRST_STEPS = 16
+"""Control steps of the first call."""
+_MOST_STEPS = 4096
+"""Control steps of a call at most."""
+_SHORT_CALL_S = 0.25
+"""Seconds below which the next call takes twice as many steps."""
+_LONG_CALL_S = 1.0
+"""Seconds above which the next call takes half as many steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +59,14 @@ def play_shard(
     """
     counted = EpisodeStatistics(env.num_envs, state["quota"])
     counted.load_state_dict(state)
-    before = counted.steps
+    steps_before = counted.steps
     for _ in islice(play(env, resolve_policy(policy), None, counted), steps):
         pass
-    return Played(counted.steps - before, counted.state_dict(), counted.take())
+    return Played(
+        steps=counted.steps - steps_before,
+        state=counted.state_dict(),
+        records=counted.take(),
+    )
 
 
 def go_on(env: BaseEnv, policy: str | Mapping[str, Any], steps: int) -> None:
@@ -82,29 +90,31 @@ def play_sharded(
         counted: The statistics of the batch, updated in place.
         most_steps: Control steps at most; None is no limit.
     """
-    rows = [slice(f, f + n) for f, n in zip(env.pool.firsts, env.pool.counts, strict=True)]
-    states: list[dict[str, Any]] = [counted.part(mine) for mine in rows]
-    size = _FIRST
+    firsts = env.pool.firsts
+    states: list[dict[str, Any]] = [
+        counted.part(slice(first, first + count))
+        for first, count in zip(firsts, env.pool.counts, strict=True)
+    ]
+    next_steps = _FIRST_STEPS
     while not counted.complete:
-        begun = time.perf_counter()
-        steps = size if most_steps is None else min(size, most_steps - counted.steps)
+        start = time.perf_counter()
+        steps = next_steps
+        if most_steps is not None:
+            steps = min(steps, most_steps - counted.steps)
         if steps < 1:
             return
-        args = [(policy, state, steps) for state in states]
-        found: list[Played] = env.advance(play_shard, args)
-        states = [one.state for one in found]
+        shards: list[Played] = env.advance(play_shard, [(policy, state, steps) for state in states])
         # All environments take as many steps as the one that needs most.
-        taken = max(one.steps for one in found)
-        if any(one.steps < taken for one in found):
-            env.advance(go_on, [(policy, taken - one.steps) for one in found])
-        env.passed(taken)
-        counted.merge([(mine.start, one.records) for mine, one in zip(rows, found, strict=True)])
-        counted.steps += taken
-        for state in states:
-            state["steps"] = counted.steps
-        seconds = time.perf_counter() - begun
-        if seconds < _SHORT:
-            size = min(2 * size, _MOST)
-        elif seconds > _LONG:
-            size = max(size // 2, 1)
+        longest = max(shard.steps for shard in shards)
+        if any(shard.steps < longest for shard in shards):
+            env.advance(go_on, [(policy, longest - shard.steps) for shard in shards])
+        env.passed(longest)
+        counted.merge([(first, shard.records) for first, shard in zip(firsts, shards, strict=True)])
+        counted.steps += longest
+        states = [{**shard.state, "steps": counted.steps} for shard in shards]
+        seconds = time.perf_counter() - start
+        if seconds < _SHORT_CALL_S:
+            next_steps = min(2 * next_steps, _MOST_STEPS)
+        elif seconds > _LONG_CALL_S:
+            next_steps = max(next_steps // 2, 1)
         yield

@@ -117,8 +117,7 @@ def iqm(values: ArrayLike, axis: int = -1) -> F64:
     """
     from scipy.stats import trim_mean
 
-    middle: F64 = trim_mean(np.asarray(values, np.float64), 0.25, axis=axis)
-    return middle
+    return trim_mean(np.asarray(values, np.float64), 0.25, axis=axis)
 
 
 def bootstrap(
@@ -142,7 +141,7 @@ def bootstrap(
     data = np.asarray(values, np.float64)
     if len(data) < 2:
         return None
-    found = scipy_bootstrap(
+    result = scipy_bootstrap(
         (data,),
         statistic,
         n_resamples=RESAMPLES,
@@ -152,8 +151,9 @@ def bootstrap(
         confidence_level=confidence,
         method="percentile",
         rng=np.random.default_rng(_SEED),
-    ).confidence_interval
-    return found.low, found.high
+    )
+    interval = result.confidence_interval
+    return interval.low, interval.high
 
 
 def estimate(values: ArrayLike) -> Estimate | None:
@@ -178,8 +178,11 @@ def estimate(values: ArrayLike) -> Estimate | None:
 
 
 def _interval(data: F64, statistic: Callable[..., Any]) -> tuple[float, float] | None:
-    found = bootstrap(data, statistic)
-    return None if found is None else (float(found[0]), float(found[1]))
+    interval = bootstrap(data, statistic)
+    if interval is None:
+        return None
+    low, high = interval
+    return float(low), float(high)
 
 
 def over_seeds(values: ArrayLike, trials: ArrayLike | None = None) -> SeedEstimate | None:
@@ -196,28 +199,21 @@ def over_seeds(values: ArrayLike, trials: ArrayLike | None = None) -> SeedEstima
     Returns:
         The summary; None without values.
     """
-    from scipy.stats import t
-
     data = np.asarray(values, np.float64)
     if not data.size:
         return None
     std = float(data.std(ddof=1)) if data.size > 1 else None
-    mean, interval, note = float(data.mean()), None, None
+    interval: tuple[float, float] | None = None
+    note: str | None = None
     if std is None or data.size < LEAST_SEEDS:
         seeds = "1 seed" if data.size == 1 else f"{data.size} seeds"
         note = f"{seeds}: an interval over seeds needs at least {LEAST_SEEDS}"
+    elif trials is None:
+        interval = _student(data, std)
     else:
-        half = float(t.ppf(0.5 + CONFIDENCE / 2, data.size - 1)) * std / data.size**0.5
-        interval = mean - half, mean + half
-        if trials is not None:
-            interval = max(interval[0], 0.0), min(interval[1], 1.0)
-            played = np.asarray(trials, np.int64)
-            if played.any():
-                pooled = _wilson(int(np.rint(data * played).sum()), int(played.sum()))
-                wider = pooled[1] - pooled[0] > interval[1] - interval[0]
-                interval = pooled if wider else interval
+        interval = _rate_interval(data, std, np.asarray(trials, np.int64))
     return SeedEstimate(
-        mean=mean,
+        mean=float(data.mean()),
         median=float(np.median(data)),
         std=std,
         min=float(data.min()),
@@ -228,8 +224,30 @@ def over_seeds(values: ArrayLike, trials: ArrayLike | None = None) -> SeedEstima
     )
 
 
+def _student(data: F64, std: float) -> tuple[float, float]:
+    """Return Student's t interval of a mean, (low, high)."""
+    from scipy.stats import t
+
+    half = float(t.ppf(0.5 + CONFIDENCE / 2, data.size - 1)) * std / data.size**0.5
+    mean = float(data.mean())
+    return mean - half, mean + half
+
+
+def _rate_interval(rates: F64, std: float, trials: NDArray[np.int64]) -> tuple[float, float]:
+    """Return the wider of Student's interval over seeds and Wilson's over all their episodes."""
+    low, high = _student(rates, std)
+    low = max(low, 0.0)
+    high = min(high, 1.0)
+    if not trials.any():
+        return low, high
+    pooled_low, pooled_high = _wilson(int(np.rint(rates * trials).sum()), int(trials.sum()))
+    if pooled_high - pooled_low > high - low:
+        return pooled_low, pooled_high
+    return low, high
+
+
 def _wilson(count: int, trials: int) -> tuple[float, float]:
-    """Wilson's 95 % score interval of a rate (Wilson, 1927)."""
+    """Return Wilson's 95 % score interval of a rate (Wilson, 1927)."""
     from scipy.stats import binomtest
 
     ends = binomtest(count, trials).proportion_ci(CONFIDENCE, method="wilson")
@@ -245,7 +263,8 @@ def rate(happened: ArrayLike) -> Rate | None:
         happened: (n,) booleans.
     """
     data = np.asarray(happened, np.bool_)
-    trials, count = int(data.size), int(data.sum())
+    trials = int(data.size)
     if not trials:
         return None
-    return Rate(count / trials, count, trials, _wilson(count, trials))
+    count = int(data.sum())
+    return Rate(rate=count / trials, count=count, trials=trials, interval=_wilson(count, trials))

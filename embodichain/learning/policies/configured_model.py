@@ -51,17 +51,18 @@ def load_configured(file: Path, algo: str, group: str, env: BaseEnv) -> BaseAlgo
     Raises:
         ConfigError: If the task or the config do not fit the checkpoint, or it is damaged.
     """
-    cfg = _algorithm_of(file)
+    cfg = _read_algo(file)
     if cfg is None or cfg.name != algo:
         return None
     algorithm = Algorithm.of(cfg)
     arguments = dict(algorithm.arguments)
     arguments.pop("optimize_memory_usage", None)
     if algorithm.has_replay_buffer:  # acting needs none
-        arguments |= {"buffer_size": 1, "learning_starts": 0}
+        arguments["buffer_size"] = 1
+        arguments["learning_starts"] = 0
     algorithm = dataclasses.replace(algorithm, arguments=arguments)
-    seen = _Spaces(env, group, flatten=algorithm.flat, critic_groups=algorithm.critic_groups)
-    model = algorithm.build(seen, None)
+    vec_env = _Spaces(env, group, flatten=algorithm.flat, critic_groups=algorithm.critic_groups)
+    model = algorithm.build(vec_env, None)
     load_parameters(model, file, "policy")
     model.env = None
     _log.warning("%s: weights alone were read; the rest is of its run's %s", file, CONFIG)
@@ -75,12 +76,13 @@ class _Spaces(SB3VecEnv):
         """Take any environment."""
 
 
-def _algorithm_of(file: Path) -> AlgoCfg | None:
-    """The algorithm in the config of a checkpoint's run."""
+def _read_algo(file: Path) -> AlgoCfg | None:
+    """Return the algorithm in the config of a checkpoint's run; None without one of SB3."""
     tree = run_config(file)
-    found = tree.get("algo") if isinstance(tree, dict) else None
+    if not isinstance(tree, dict):
+        return None
     try:
-        cfg: Any = TypeAdapter(AnyAlgoCfg).validate_python(found)
-    except ValidationError:  # there is no config, or one of another version
+        cfg: Any = TypeAdapter(AnyAlgoCfg).validate_python(tree.get("algo"))
+    except ValidationError:  # there is no algorithm, or one of another version
         return None
     return cfg if isinstance(cfg, AlgoCfg) else None

@@ -43,11 +43,15 @@ __all__ = [
 
 METADATA = "embodichain.json"
 """Key of the metadata: an extra file in TorchScript, a custom property in ONNX."""
-INPUT, OUTPUT = "observation", "action"
-"""Names of an ONNX file's input (N, K) and output (N, A)."""
+INPUT = "observation"
+"""Name of an ONNX file's input, (N, K)."""
+OUTPUT = "action"
+"""Name of an ONNX file's output, (N, A)."""
 ONNX = (".onnx",)
 TORCHSCRIPT = (".pt", ".ts")
 SUFFIXES = (*ONNX, *TORCHSCRIPT)
+_ONNX_FATAL = 4
+"""Log level of onnxruntime: its other messages go to stderr, past the logger."""
 
 F32 = NDArray[np.float32]
 
@@ -87,12 +91,13 @@ class PolicyMetadata:
         if not text:
             return None
         try:
-            found: dict[str, Any] = json.loads(text)
-            lists = ("columns", "action_low", "action_high")
-            values: Any = {k: tuple(v) if k in lists else v for k, v in found.items()}
+            values: dict[str, Any] = json.loads(text)
+            for name in ("columns", "action_low", "action_high"):
+                if name in values:
+                    values[name] = tuple(values[name])
             return cls(**values)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise _wrong(path, f"its metadata are damaged: {error}") from error
+            raise _not_a_policy(path, f"its metadata are damaged: {error}") from error
 
 
 class ExportedPolicy(TrainedPolicy):
@@ -116,12 +121,16 @@ class ExportedPolicy(TrainedPolicy):
         name: str,
         module: torch.nn.Module | None = None,
     ) -> None:
-        group = metadata.group if metadata is not None else "policy"
-        note = {} if metadata is None else {DIGEST: metadata.trained_in}
-        super().__init__(name, group, read_digest(note, Path(name)))
+        if metadata is None:
+            super().__init__(name, "policy", None)
+            self.algo: str | None = None
+            self.task: str | None = None
+        else:
+            digest = read_digest({DIGEST: metadata.trained_in}, Path(name))
+            super().__init__(name, metadata.group, digest)
+            self.algo = metadata.algo
+            self.task = metadata.task
         self.metadata = metadata
-        self.algo = None if metadata is None else metadata.algo
-        self.task = None if metadata is None else metadata.task
         self.network = network
         self.module = module
         self._memory: ChunkMemory | None = None
@@ -129,11 +138,11 @@ class ExportedPolicy(TrainedPolicy):
 
     def act(self, obs: F32) -> F32:
         """Return (N, A) actions for (N, K) observations, both in the task's units."""
-        found = self.network(obs)
+        output = self.network(obs)
         if self.metadata is None or self.metadata.chunk_size == 1:
-            return found
+            return output
         decay = self.metadata.ensemble_decay
-        actions, self._memory = blend(found, self._memory, self._starts, decay)
+        actions, self._memory = blend(output, self._memory, self._starts, decay)
         self._starts = np.zeros(len(actions), np.bool_)
         return actions
 
@@ -147,18 +156,19 @@ class ExportedPolicy(TrainedPolicy):
         if self.metadata is not None:
             check_columns(self.name, self.metadata.columns, env, self.group)
         shape = (env.num_envs, *observation_box(env, self.group).shape)
+        self._memory = None
+        self._starts = None
         try:
-            self._memory = self._starts = None
-            found = np.shape(self.act(np.zeros(shape, np.float32)))
+            action_shape = np.shape(self.act(np.zeros(shape, np.float32)))
             self.reset(None)
-        except Exception as error:
-            why = str(error).strip().splitlines()
-            last = why[-1] if why else type(error).__name__
-            message = f"{self.name} does not take this task's observations {shape}: {last}"
+        except Exception as error:  # a network of another program may raise any
+            lines = str(error).strip().splitlines()
+            why = lines[-1] if lines else type(error).__name__
+            message = f"{self.name} does not take this task's observations {shape}: {why}"
             raise ConfigError([Problem("policy", message)]) from error
-        wanted = (env.num_envs, *(env.single_action_space.shape or ()))
-        if found != wanted:
-            message = f"{self.name} gives actions {found}, this task needs {wanted}"
+        needed_shape = (env.num_envs, *(env.single_action_space.shape or ()))
+        if action_shape != needed_shape:
+            message = f"{self.name} gives actions {action_shape}, this task needs {needed_shape}"
             raise ConfigError([Problem("policy", message)])
 
 
@@ -188,7 +198,7 @@ def load_exported(path: Path, *, trust: bool = False) -> ExportedPolicy:
     except OSError as error:
         raise ConfigError([Problem("policy", f"cannot read {path}: {error}")]) from error
     except zipfile.BadZipFile as error:
-        raise _wrong(path, f"it is damaged: {error}") from error
+        raise _not_a_policy(path, f"it is damaged: {error}") from error
 
 
 def script_bytes(network: torch.nn.Module, example: torch.Tensor, about: PolicyMetadata) -> bytes:
@@ -202,9 +212,10 @@ def script_bytes(network: torch.nn.Module, example: torch.Tensor, about: PolicyM
     stream = io.BytesIO()
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # deprecated, but C++ programs load this format
-        scripted = isinstance(network, torch.jit.ScriptModule)
-        traced: Any = network if scripted else torch.jit.trace(network, example)  # type: ignore[no-untyped-call]
-        torch.jit.save(traced, stream, _extra_files={METADATA: about.to_json()})
+        script: Any = network
+        if not isinstance(network, torch.jit.ScriptModule):
+            script = torch.jit.trace(network, example)  # type: ignore[no-untyped-call]
+        torch.jit.save(script, stream, _extra_files={METADATA: about.to_json()})
     return stream.getvalue()
 
 
@@ -224,8 +235,10 @@ def need_onnx(package: str) -> Any:
 def _load_onnx(path: Path) -> ExportedPolicy:
     runtime = need_onnx("onnxruntime")
     options = runtime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1  # networks are small
-    options.log_severity_level = 4
+    # Networks are small: more threads would only take cores from the simulation.
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = _ONNX_FATAL
     try:
         session = runtime.InferenceSession(
             path.read_bytes(), options, providers=["CPUExecutionProvider"]
@@ -233,14 +246,16 @@ def _load_onnx(path: Path) -> ExportedPolicy:
     except OSError as error:
         raise ConfigError([Problem("policy", f"cannot read {path}: {error}")]) from error
     except Exception as error:  # onnxruntime's exceptions have no common base class
-        raise _wrong(path, f"it is no ONNX file: {_first_line(error)}") from error
-    names = [entry.name for entry in session.get_inputs()]
-    if len(names) != 1 or not session.get_outputs():
-        raise _wrong(path, f"a policy has one input, this has {len(names)}")
-    output = session.get_outputs()[0].name
+        raise _not_a_policy(path, f"it is not an ONNX file: {_first_line(error)}") from error
+    inputs = session.get_inputs()
+    outputs = session.get_outputs()
+    if len(inputs) != 1 or not outputs:
+        raise _not_a_policy(path, f"a policy has one input, this has {len(inputs)}")
+    input_name = inputs[0].name
+    output_name = outputs[0].name
 
     def act(obs: F32) -> F32:
-        actions: F32 = session.run([output], {names[0]: obs})[0]
+        (actions,) = session.run([output_name], {input_name: obs})
         return actions
 
     text = session.get_modelmeta().custom_metadata_map.get(METADATA, "")
@@ -251,26 +266,25 @@ def _load_torchscript(data: bytes, path: Path, trust: bool) -> ExportedPolicy:
     extra: dict[str, Any] = {METADATA: ""}
     source = io.BytesIO(data)
     try:
-        beyond = code_at_loading(source)
-        if beyond and not trust:
-            raise needs_trust(path, "TorchScript of it runs while it is loaded", beyond)
+        operations = code_at_loading(source)
+        if operations and not trust:
+            raise needs_trust(path, "TorchScript of it runs while it is loaded", operations)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # the format stays supported
             module = torch.jit.load(source, map_location="cpu", _extra_files=extra)  # type: ignore[no-untyped-call]
-        beyond += operations_beyond(module)
+        operations += operations_beyond(module)
     except NeedsTrust:  # which is a ValueError, too
         raise
     except (RuntimeError, ValueError, OSError) as error:
-        raise _wrong(path, f"it is no TorchScript file: {_first_line(error)}") from error
-    if beyond and not trust:
-        raise needs_trust(path, "TorchScript of it does more than compute", beyond)
-    if beyond:
-        say_trusted(path, beyond)
+        raise _not_a_policy(path, f"it is not a TorchScript file: {_first_line(error)}") from error
+    if operations and not trust:
+        raise needs_trust(path, "TorchScript of it does more than compute", operations)
+    if operations:
+        say_trusted(path, operations)
 
     def act(obs: F32) -> F32:
         with torch.no_grad():
-            actions: F32 = module(torch.from_numpy(obs)).numpy()
-        return actions
+            return module(torch.from_numpy(obs)).numpy()
 
     return ExportedPolicy(act, PolicyMetadata.from_json(extra[METADATA], path), str(path), module)
 
@@ -280,5 +294,5 @@ def _first_line(error: Exception) -> str:
     return lines[0] if lines else type(error).__name__
 
 
-def _wrong(path: Path, why: str) -> ConfigError:
-    return ConfigError([Problem("policy", f"{path} is no policy: {why}")])
+def _not_a_policy(path: Path, why: str) -> ConfigError:
+    return ConfigError([Problem("policy", f"{path} is not a policy: {why}")])

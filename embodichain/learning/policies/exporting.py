@@ -50,8 +50,9 @@ FORMATS: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
 """Format -> suffix of its files."""
 TOLERANCE = 1e-5
 """Largest allowed difference of exported actions, in units of max(1, half the action's range)."""
-_CHECKED = 256  # number of observations on which the file is compared
-_OPSET = 17
+_EXAMPLES = 256
+"""Observations on which the written file is compared with the policy, at least."""
+_ONNX_OPSET = 17
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
@@ -85,15 +86,14 @@ def export_policy(
     """
     path = Path(path)
     if os.path.lexists(path):
-        raise _taken(path)
+        raise _exists(path)
     if isinstance(policy, LearnedPolicy):
-        _refuse(policy)
+        _check_exportable(policy)
     if form == "onnx":
         for package in ("onnx", "onnxruntime"):
             need_onnx(package)
     policy.check(env)
-    network: _Network
-    network = _Learned(policy, env) if isinstance(policy, LearnedPolicy) else _Script(policy, env)
+    network = _make_network(policy, env)
     metadata = PolicyMetadata(
         task=task or policy.task or "unknown",
         algo=policy.algo or "unknown",
@@ -106,23 +106,23 @@ def export_policy(
         **network.chunking,
     )
     observations = network.examples()
-    split = network.split(observations)
+    policy_obs = network.split(observations)
     if isinstance(policy, LearnedPolicy) and network.chunking:
-        wanted = policy.plan(split)
+        actions = policy.plan(policy_obs)
     else:
-        wanted = policy.act(split)
+        actions = policy.act(policy_obs)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, new=True) as temporary:
             _WRITERS[form](network.written, observations[:2], temporary, metadata)
-            worst = _compare(load_exported(temporary), observations, wanted, network)
+            difference = _compare(load_exported(temporary), observations, actions, network)
         if policy.stage is not None:
             write_tree(stage_path(path), policy.stage)
     except FileExistsError as error:
-        raise _taken(path) from error
+        raise _exists(path) from error
     except OSError as error:
         raise ConfigError([Problem("output", f"cannot write {path}: {error}")]) from error
-    return worst
+    return difference
 
 
 class _Network(torch.nn.Module, ABC):
@@ -165,7 +165,9 @@ class _Script(_Network):
         super().__init__(policy.group, env)
         if policy.module is None:
             raise ConfigError([Problem("policy", f"{policy.name} is a file of ONNX already")])
-        self._policy, self._env, self._script = policy, env, policy.module
+        self._policy = policy
+        self._env = env
+        self._script = policy.module
 
     @property
     def written(self) -> torch.nn.Module:
@@ -174,12 +176,14 @@ class _Script(_Network):
 
     def examples(self) -> F32:
         """Return (n, K) observations of episodes that the policy plays: its scales are unknown."""
-        env, policy, rows = self._env, self._policy, list[F32]()
+        env = self._env
+        policy = self._policy
+        steps: list[F32] = []
         obs, _ = env.reset(seed=0)
-        while len(rows) * env.num_envs < _CHECKED:
-            rows.append(policy.observed(obs, env))
+        while len(steps) * env.num_envs < _EXAMPLES:
+            steps.append(policy.observed(obs, env))
             obs = env.step(policy(obs, env))[0]
-        return np.concatenate(rows)
+        return np.concatenate(steps)
 
 
 class _Learned(_Network):
@@ -192,26 +196,28 @@ class _Learned(_Network):
         super().__init__(policy.group, env)
         self.policy = policy.model.policy.eval()
         if isinstance(self.policy, ChunkPolicy) and self.policy.has_memory:
-            names = ("chunk_size", "ensemble_decay")
-            self.chunking = {name: getattr(self.policy, name) for name in names}
+            self.chunking["chunk_size"] = self.policy.chunk_size
+            self.chunking["ensemble_decay"] = self.policy.ensemble_decay
+        self.entries = _entry_shapes(policy, env)
+        self.normalizes = False
+        self.clip = 0.0
         statistics = policy.statistics
-        self.entries = _entries(policy, env)
-        self.normalizes = statistics is not None and statistics.norm_obs
-        self.clip = statistics.clip_obs if statistics is not None else 0.0
-        if statistics is not None and self.normalizes:
+        if statistics is not None and statistics.norm_obs:
+            self.normalizes = True
+            self.clip = statistics.clip_obs
             # float64, as in `VecNormalize`: a large mean would lose digits in float32.
-            mean, variance = self._flat(statistics.obs_mean), self._flat(statistics.obs_var)
+            mean = self._flat(statistics.obs_mean)
+            deviation = np.sqrt(self._flat(statistics.obs_var) + statistics.epsilon)
             self.register_buffer("mean", torch.from_numpy(mean))
-            deviation = np.sqrt(variance + statistics.epsilon)
             self.register_buffer("deviation", torch.from_numpy(deviation))
 
     def examples(self) -> F32:
         """Return (n, K) observations distributed as in training, some of them far outside."""
-        drawn = np.random.default_rng(0).normal(size=(_CHECKED, self.width))
-        drawn[::4] *= 20.0  # outside the clipping range
+        observations = np.random.default_rng(0).normal(size=(_EXAMPLES, self.width))
+        observations[::4] *= 20.0  # outside the clipping range
         if self.normalizes:
-            drawn = self.mean.numpy() + drawn * self.deviation.numpy()
-        return drawn.astype(np.float32)
+            observations = self.mean.numpy() + observations * self.deviation.numpy()
+        return observations.astype(np.float32)
 
     def _flat(self, moments: Any) -> F64:
         """(K,) means or variances of the columns."""
@@ -223,30 +229,40 @@ class _Learned(_Network):
         """Return flat observations (N, K), arrays or tensors, as the policy takes them."""
         if self.entries is None:
             return obs
-        ends = np.cumsum([math.prod(shape) for shape in self.entries.values()]).tolist()
-        return {
-            name: obs[:, end - math.prod(shape) : end].reshape(-1, *shape)
-            for (name, shape), end in zip(self.entries.items(), ends, strict=True)
-        }
+        entries = {}
+        start = 0
+        for name, shape in self.entries.items():
+            end = start + math.prod(shape)
+            entries[name] = obs[:, start:end].reshape(-1, *shape)
+            start = end
+        return entries
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Return actions within the task's bounds."""
         if self.normalizes:
             scaled = (obs.double() - self.mean) / self.deviation
             obs = scaled.clamp(-self.clip, self.clip).float()
-        seen, policy = self.split(obs), self.policy
-        if isinstance(policy, ChunkPolicy) and self.chunking:
-            action = policy.chunks(seen)
+        policy_obs = self.split(obs)
+        if isinstance(self.policy, ChunkPolicy) and self.chunking:
+            action = self.policy.chunks(policy_obs)
         else:
-            action = policy._predict(seen, deterministic=True)
+            action = self.policy._predict(policy_obs, deterministic=True)
         return to_bounds(action, self.low, self.high)
 
 
-def _refuse(policy: LearnedPolicy) -> None:
+def _make_network(policy: LearnedPolicy | ExportedPolicy, env: BaseEnv) -> _Network:
+    if isinstance(policy, LearnedPolicy):
+        return _Learned(policy, env)
+    return _Script(policy, env)
+
+
+def _check_exportable(policy: LearnedPolicy) -> None:
+    """Check that a file without memory and images can act as a policy does."""
     if not policy.deterministic:
         raise ConfigError([Problem("policy", "only deterministic policies are exported")])
     space = actor_space(policy.model.policy)
-    if len(number_keys(space)) < (len(space) if isinstance(space, spaces.Dict) else 1):
+    entry_count = len(space) if isinstance(space, spaces.Dict) else 1
+    if len(number_keys(space)) < entry_count:
         message = f"{policy.name} sees images: policies of numbers are exported"
         raise ConfigError([Problem("policy", message)])
     if hasattr(policy.model.policy, "lstm_actor"):
@@ -254,8 +270,8 @@ def _refuse(policy: LearnedPolicy) -> None:
         raise ConfigError([Problem("policy", message)])
 
 
-def _entries(policy: LearnedPolicy, env: BaseEnv) -> dict[str, tuple[int, ...]] | None:
-    """Entry -> shape, in the order of the columns; None for a policy of flat vectors."""
+def _entry_shapes(policy: LearnedPolicy, env: BaseEnv) -> dict[str, tuple[int, ...]] | None:
+    """Return entry -> shape, in the order of the columns; None for a policy of flat vectors."""
     space = actor_space(policy.model.policy)
     if not isinstance(space, spaces.Dict):
         return None
@@ -263,19 +279,19 @@ def _entries(policy: LearnedPolicy, env: BaseEnv) -> dict[str, tuple[int, ...]] 
     return {name: space[name].shape or () for name in names}
 
 
-def _compare(written: ExportedPolicy, observations: F32, wanted: F32, network: _Network) -> float:
-    """The largest difference from the model's actions, for one row and for all rows.
+def _compare(written: ExportedPolicy, observations: F32, actions: F32, network: _Network) -> float:
+    """Return the largest difference from the policy's actions, for one row and for all rows.
 
     Raises:
         RuntimeError: If the difference is too large.
     """
-    found = written.network(observations)
-    single = written.network(observations[-1:])
-    half = np.maximum((network.high - network.low).numpy() / 2, 1.0)
-    half = np.where(np.isinf(half), 1.0, half)
-    error = np.abs(np.concatenate([found - wanted, single - wanted[-1:]]))
+    half_range = np.maximum((network.high - network.low).numpy() / 2, 1.0)
+    half_range = np.where(np.isinf(half_range), 1.0, half_range)
+    batch_error = written.network(observations) - actions
+    single_error = written.network(observations[-1:]) - actions[-1:]
+    error = np.abs(np.concatenate([batch_error, single_error]))
     # `not <=`, so that NaN fails.
-    if not (error <= TOLERANCE * half).all():
+    if not (error <= TOLERANCE * half_range).all():
         raise RuntimeError(
             f"the exported policy differs from the model by {np.max(error):.3g}, more than "
             f"{TOLERANCE:g} of the actions' range: nothing was written"
@@ -297,12 +313,13 @@ def _write_onnx(
             input_names=[INPUT],
             output_names=[OUTPUT],
             dynamic_axes={INPUT: {0: "N"}, OUTPUT: {0: "N"}},
-            opset_version=_OPSET,
+            opset_version=_ONNX_OPSET,
             dynamo=False,
         )
     model = onnx.load(str(path))
     entry = model.metadata_props.add()
-    entry.key, entry.value = METADATA, metadata.to_json()
+    entry.key = METADATA
+    entry.value = metadata.to_json()
     onnx.checker.check_model(model)
     onnx.save(model, str(path))
 
@@ -319,5 +336,5 @@ _WRITERS: dict[Format, Callable[[torch.nn.Module, F32, Path, PolicyMetadata], No
 }
 
 
-def _taken(path: Path) -> ConfigError:
+def _exists(path: Path) -> ConfigError:
     return ConfigError([Problem("output", f"{path} exists; it is never replaced")])

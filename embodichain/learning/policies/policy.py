@@ -87,7 +87,7 @@ def load_policy(
     file = find_checkpoint(path)
     policy: LearnedPolicy | ExportedPolicy
     if file.suffix in SUFFIXES:
-        policy = _only_means(file, deterministic, trust)
+        policy = _load_mean_actions(file, deterministic=deterministic, trust=trust)
     else:
         policy = load_checkpoint(file, env, deterministic=deterministic, trust=trust)
     policy.allow_changed = allow_changed
@@ -108,11 +108,12 @@ def load_checkpoint(
         ConfigError: If the file is not a policy, needs `trust`, or its statistics are missing.
     """
     if has_script(file):
-        return _only_means(file, deterministic, trust)
+        return _load_mean_actions(file, deterministic=deterministic, trust=trust)
     return load_model(file, env, deterministic=deterministic, trust=trust)
 
 
-def _only_means(file: Path, deterministic: bool, trust: bool) -> ExportedPolicy:
+def _load_mean_actions(file: Path, *, deterministic: bool, trust: bool) -> ExportedPolicy:
+    """Load a file that has no distribution of actions, only their means."""
     if not deterministic:
         message = f"{file} gives mean actions only: leave deterministic=false out"
         raise ConfigError([Problem("policy", message)])
@@ -128,21 +129,32 @@ def load_model(
         ConfigError: If the file is not a policy, needs `trust`, or its statistics are missing.
     """
     note = read_note(file)
-    algorithm = algorithm_class(str(note.get("algo")))
-    statistics = _statistics(file)
+    algo = str(note.get("algo"))
+    algorithm = algorithm_class(algo)
+    statistics = _load_statistics(file)
     group = str(note.get("group", "policy"))
     # In a fork of the generators, whose state here does not change.
     with torch.random.fork_rng(devices=()):
         try:
             model = load_plain(file, algorithm)
         except NeedsTrust:
-            found = None
+            configured_model = None
             if env is not None:
-                found = load_configured(file, str(note.get("algo")), group, env)
-            if found is None and not trust:
+                configured_model = load_configured(file, algo, group, env)
+            if configured_model is not None:
+                model = configured_model
+            elif trust:
+                model = _load_trusted(file, algorithm)
+            else:
                 raise
-            model = found or _load_trusted(file, algorithm)
-    return LearnedPolicy(model, group, str(file), deterministic, statistics, note)
+    return LearnedPolicy(
+        model,
+        group,
+        name=str(file),
+        deterministic=deterministic,
+        statistics=statistics,
+        note=note,
+    )
 
 
 def _load_trusted(file: Path, algorithm: type[BaseAlgorithm]) -> BaseAlgorithm:
@@ -189,7 +201,8 @@ class LearnedPolicy(TrainedPolicy):
         self._scale: ActionScale | None = None
         self._state: tuple[NDArray[Any], ...] | None = None
         self._starts: NDArray[np.bool_] | None = None
-        self._views: tuple[BaseEnv, LearnerView] | None = None
+        self._last_view: LearnerView | None = None
+        self._viewed_env: BaseEnv | None = None
         self._check_spaces()
 
     def observed(self, obs: EnvObs, env: BaseEnv) -> Any:
@@ -197,10 +210,12 @@ class LearnedPolicy(TrainedPolicy):
         return self._view(env)(obs)
 
     def _view(self, env: BaseEnv) -> LearnerView:
-        if self._views is None or self._views[0] is not env:
-            named = isinstance(self.model.observation_space, spaces.Dict)
-            self._views = env, LearnerView(env, self.group, flatten=not named)
-        return self._views[1]
+        """Return the view of an environment; the one of the last call is reused."""
+        if self._last_view is None or self._viewed_env is not env:
+            is_dict = isinstance(self.model.observation_space, spaces.Dict)
+            self._last_view = LearnerView(env, self.group, flatten=not is_dict)
+            self._viewed_env = env
+        return self._last_view
 
     def predict(self, obs: Any) -> F32:
         """Return (N, A) actions in [-1, 1] for unnormalized observations: an array, or a dict."""
@@ -212,8 +227,7 @@ class LearnedPolicy(TrainedPolicy):
         )
         if self._starts is not None:
             self._starts[:] = False
-        result: F32 = np.asarray(actions, np.float32)
-        return result
+        return np.asarray(actions, np.float32)
 
     def plan(self, obs: Any) -> F32:
         """Return (N, H, A) what a `ChunkPolicy` predicts, in units of the task last checked.
@@ -250,58 +264,77 @@ class LearnedPolicy(TrainedPolicy):
 
     def _fit(self, env: BaseEnv) -> None:
         scale = ActionScale(env.single_action_space)
-        pairs = (
-            ("observations", actor_space(self.model.policy), self._view(env).space),
-            ("actions", self.model.action_space, scale.space),
-        )
-        differences = [
-            f"has {what} {_shape(have)}, this task has {_shape(want)}"
-            for what, have, want in pairs
-            if _shape(have) != _shape(want)
-        ]
-        learned: Any = self.model.action_space
-        if not differences and not np.array_equal(learned.high, scale.space.high):
-            differences = ["has other columns with bounds of actions than this task"]
+        action_space: Any = self.model.action_space
+        differences: list[str] = []
+        obs_shape = _shape(actor_space(self.model.policy))
+        task_obs_shape = _shape(self._view(env).space)
+        if obs_shape != task_obs_shape:
+            differences.append(f"has observations {obs_shape}, this task has {task_obs_shape}")
+        action_shape = _shape(action_space)
+        task_action_shape = _shape(scale.space)
+        if action_shape != task_action_shape:
+            differences.append(f"has actions {action_shape}, this task has {task_action_shape}")
+        if not differences and not np.array_equal(action_space.high, scale.space.high):
+            differences.append("has other columns with bounds of actions than this task")
         if differences:
             raise ConfigError([Problem("policy", f"{self.name} {'; '.join(differences)}")])
         self._scale = scale
-        self._state, self._starts = None, np.ones(env.num_envs, np.bool_)
+        self._state = None
+        self._starts = np.ones(env.num_envs, np.bool_)
 
     def _check_spaces(self) -> None:
-        seen: Any = self.model.observation_space
-        done: Any = self.model.action_space
-        problems = []
-        if not isinstance(seen, (spaces.Box, spaces.Dict)):
-            problems.append(f"sees {seen}, not an array or a dict of arrays")
-        elif self.statistics is not None and not self.statistics.norm_obs:
-            pass  # of rewards only
-        elif self.statistics is not None and self.statistics.shape != _numbers(seen):
-            have, want = self.statistics.shape, _numbers(seen)
-            problems.append(f"sees observations {want}, its statistics are of {have}")
-        whole = isinstance(done, spaces.Box) and np.isin(done.high, (1.0, UNBOUNDED)).all()
-        if not whole or not (done.low == -done.high).all():
-            problems.append(f"acts in {done}, not in [-1, 1] as on an SB3VecEnv")
+        """Check that the model's spaces are those of an `SB3VecEnv`, and fit the statistics."""
+        observation_space: Any = self.model.observation_space
+        action_space: Any = self.model.action_space
+        normalizes = self.statistics is not None and self.statistics.norm_obs
+        problems: list[str] = []
+        if not isinstance(observation_space, (spaces.Box, spaces.Dict)):
+            problems.append(f"sees {observation_space}, not an array or a dict of arrays")
+        elif self.statistics is not None and normalizes:
+            shape = _normalized_shape(observation_space)
+            if self.statistics.shape != shape:
+                problems.append(
+                    f"sees observations {shape}, its statistics are of {self.statistics.shape}"
+                )
+        if not _is_of_vec_env(action_space):
+            problems.append(f"acts in {action_space}, not in [-1, 1] as on an SB3VecEnv")
         if problems:
-            raise ConfigError([Problem("policy", f"{self.name} {what}") for what in problems])
+            raise ConfigError([Problem("policy", f"{self.name} {text}") for text in problems])
 
 
-def _numbers(space: Any) -> Any:
-    """The shape of the part of an observation that is normalized; name -> shape for a dict."""
+def _is_of_vec_env(action_space: Any) -> bool:
+    """Whether every column of actions is in [-1, 1], or in `UNBOUNDED` ones."""
+    if not isinstance(action_space, spaces.Box):
+        return False
+    if not np.isin(action_space.high, (1.0, UNBOUNDED)).all():
+        return False
+    return bool((action_space.low == -action_space.high).all())
+
+
+def _normalized_shape(space: Any) -> Any:
+    """Return the shape of an observation's normalized part; name -> shape for a dict."""
     if isinstance(space, spaces.Dict):
         return {name: space[name].shape for name in number_keys(space)}
     return space.shape
 
 
 def _shape(space: Any) -> Any:
-    """The shape of a space's values; name -> shape for a dict."""
+    """Return the shape of a space's values; name -> shape for a dict."""
     if isinstance(space, spaces.Dict):
-        return {name: part.shape for name, part in space.items()}
+        return {name: entry.shape for name, entry in space.items()}
     return space.shape
 
 
-def _statistics(file: Path) -> NormalizeStatistics | None:
-    """The statistics beside a checkpoint; required if its run normalized observations."""
-    path, config = statistics_path(file), run_config(file)
+def _load_statistics(file: Path) -> NormalizeStatistics | None:
+    """Load the statistics beside a checkpoint; required if its run normalized observations."""
+    path = statistics_path(file)
+    if path.exists() or _run_normalized(file):
+        return load_statistics(path)
+    return None
+
+
+def _run_normalized(file: Path) -> bool:
+    """Whether the config of a checkpoint's run normalized observations."""
+    config = run_config(file)
     algo = config.get("algo") if isinstance(config, dict) else None
-    normalized = isinstance(algo, dict) and algo.get("normalize") in _OBS_NORMALIZED
-    return load_statistics(path) if path.exists() or normalized else None
+    return isinstance(algo, dict) and algo.get("normalize") in _OBS_NORMALIZED

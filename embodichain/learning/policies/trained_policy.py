@@ -101,12 +101,12 @@ def check_columns(name: str, columns: Sequence[str], env: BaseEnv, group: str) -
     Raises:
         ConfigError: If the columns differ; names the first difference.
     """
-    here = observation_columns(env, group)
-    pairs = itertools.zip_longest(columns, here, fillvalue="nothing")
-    for i, (was, is_) in enumerate(pairs):
-        if was != is_:
+    task_columns = observation_columns(env, group)
+    pairs = itertools.zip_longest(columns, task_columns, fillvalue="nothing")
+    for i, (column, task_column) in enumerate(pairs):
+        if column != task_column:
             message = (
-                f"{name} was made for other observations: column {i} of {len(columns)} was {was}, "
-                f"this task has {is_} ({len(here)} columns)"
+                f"{name} was made for other observations: column {i} of {len(columns)} was "
+                f"{column}, this task has {task_column} ({len(task_columns)} columns)"
             )
             raise ConfigError([Problem("policy", message)])

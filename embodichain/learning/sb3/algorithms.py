@@ -40,7 +40,7 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["Algorithm", "action_noise", "algorithm_class"]
 
-_NAMED: dict[str, dict[str, Any]] = {
+_NAMED_CLASSES: dict[str, dict[str, Any]] = {
     "activation_fn": {
         "elu": torch.nn.ELU,
         "gelu": torch.nn.GELU,
@@ -72,11 +72,14 @@ _POLICY_INSTEAD = {
 _NORMALIZE_INSTEAD = {
     "venv": "the environment is the task's",
     "training": "it is true while training",
-    "norm_obs_keys": "every observation that is no image is normalized",
+    "norm_obs_keys": "every observation that is not an image is normalized",
 }
 _LINEAR = "lin_"
-_log = logging.getLogger(__name__)
+_DEFAULT_GAMMA = 0.99
+"""Discount of `VecNormalize`'s returns for an algorithm without one, as of Stable-Baselines3."""
 _DEFAULT_STD = 0.1
+"""Standard deviation of action noise."""
+_log = logging.getLogger(__name__)
 
 
 def algorithm_class(name: str) -> type[BaseAlgorithm]:
@@ -134,25 +137,24 @@ class Algorithm:
             raise ConfigError([Problem("algo.policy", message)])
         policy = algorithm.policy_aliases[cfg.policy]
         arguments["policy_kwargs"], problems = _check_policy_kwargs(policy, cfg.policy_kwargs)
-        problems += _check_critic(cfg, policy) + _check_symmetric(cfg, policy)
-        path = "algo.normalize_kwargs"
-        given, found = _check_call(VecNormalize, cfg.normalize_kwargs, _NORMALIZE_INSTEAD, path)
-        problems += found
-        if cfg.normalize_kwargs and not cfg.normalize:
-            message = "nothing is normalized; set algo.normalize to obs, reward or both"
-            problems.append(Problem(path, message))
+        problems += _check_critic(cfg, policy)
+        problems += _check_symmetric(cfg, policy)
+        normalize, normalize_problems = _check_normalize(cfg)
+        problems += normalize_problems
         if problems:
             raise ConfigError(problems)
-        normalize: dict[str, Any] | None = None
-        if cfg.normalize:
-            gamma = getattr(cfg, "gamma", None)
-            normalize = {"gamma": 0.99 if gamma is None else gamma}
-            normalize |= {"norm_obs": cfg.normalize != "reward"}
-            normalize |= {"norm_reward": cfg.normalize != "obs", **given}
-        kind = getattr(cfg, "noise_type", None)
-        noise = None if kind is None else (kind, getattr(cfg, "noise_std", None))
-        groups = tuple(cfg.critic_groups or ())
-        return cls(cfg.name, arguments, normalize, noise, groups, bool(cfg.symmetric))
+        noise: tuple[str, float | None] | None = None
+        noise_type = getattr(cfg, "noise_type", None)
+        if noise_type is not None:
+            noise = (noise_type, getattr(cfg, "noise_std", None))
+        return cls(
+            name=cfg.name,
+            arguments=arguments,
+            normalize=normalize,
+            noise=noise,
+            critic_groups=tuple(cfg.critic_groups or ()),
+            symmetric=bool(cfg.symmetric),
+        )
 
     @property
     def flat(self) -> bool:
@@ -180,13 +182,15 @@ class Algorithm:
         Raises:
             ConfigError: If the algorithm refuses its arguments.
         """
+        algorithm: Any = algorithm_class(self.name)
         arguments = dict(self.arguments)
-        squashes = arguments.get("policy_kwargs", {}).get("squash_output", False)
-        if squashes or not issubclass(algorithm_class(self.name), OnPolicyAlgorithm):
+        policy_kwargs = dict(arguments.get("policy_kwargs", {}))
+        squashes_output = policy_kwargs.get("squash_output", False)
+        if squashes_output or not issubclass(algorithm, OnPolicyAlgorithm):
             require_bounds(vec_env.base, self.name)
         space: Any = vec_env.observation_space
-        vector = isinstance(space, Box) and len(space.shape) == 1
-        if str(arguments["policy"]).startswith("Mlp") and not vector:
+        is_vector = isinstance(space, Box) and len(space.shape) == 1
+        if str(arguments["policy"]).startswith("Mlp") and not is_vector:
             message = f"{arguments['policy']} takes a flat vector, the observation is an image: "
             raise ConfigError([Problem("algo.policy", message + "use CnnPolicy")])
         if arguments.get("optimize_memory_usage"):
@@ -197,22 +201,22 @@ class Algorithm:
                 "its last observation is not kept"
             )
         if self.critic_groups:
-            keys = {"actor_keys": vec_env.actor_keys, "critic_keys": vec_env.critic_keys}
-            policy = algorithm_class(self.name).policy_aliases[arguments["policy"]]
-            arguments["policy"] = ASYMMETRIC[policy]
-            arguments["policy_kwargs"] = {**arguments["policy_kwargs"], **keys}
-        mirror = Mirror.of(vec_env.base, vec_env.group) if self.symmetric else None
-        if mirror is not None:
+            arguments["policy"] = ASYMMETRIC[algorithm.policy_aliases[arguments["policy"]]]
+            policy_kwargs["actor_keys"] = vec_env.actor_keys
+            policy_kwargs["critic_keys"] = vec_env.critic_keys
+        mirror: Mirror | None = None
+        if self.symmetric:
+            mirror = Mirror.of(vec_env.base, vec_env.group)
             arguments["policy"] = SymmetricActorCriticPolicy
-            arguments["policy_kwargs"] = {**arguments["policy_kwargs"], "mirror": mirror.to_list()}
+            policy_kwargs["mirror"] = mirror.to_list()
         if self.noise is not None:
+            kind, std = self.noise
             (width,) = vec_env.action_space.shape or (0,)
-            arguments["action_noise"] = action_noise(*self.noise, width, vec_env.num_envs)
+            arguments["action_noise"] = action_noise(kind, std, width, vec_env.num_envs)
         if self.is_cloning:
-            ignored = _ignored(arguments.get("ignore"), vec_env)
-            arguments["policy_kwargs"] = {**arguments["policy_kwargs"], "ignored": ignored}
-        env = self._normalized(vec_env, mirror)
-        algorithm: Callable[..., BaseAlgorithm] = algorithm_class(self.name)
+            policy_kwargs["ignored"] = _ignored(arguments.get("ignore"), vec_env)
+        arguments["policy_kwargs"] = policy_kwargs
+        env = self._normalize(vec_env, mirror)
         try:
             with warnings.catch_warnings():
                 # `doubtful_scale` has said it, with the key to write.
@@ -221,16 +225,18 @@ class Algorithm:
         except (AssertionError, TypeError, ValueError) as error:  # how SB3 refuses
             raise ConfigError([Problem("algo", f"{self.name} refuses this: {error}")]) from error
 
-    def _normalized(self, vec_env: SB3VecEnv, mirror: Mirror | None) -> VecEnv:
+    def _normalize(self, vec_env: SB3VecEnv, mirror: Mirror | None) -> VecEnv:
+        """Wrap an environment in `VecNormalize`, if anything is normalized."""
         if self.normalize is None:
             return vec_env
-        kwargs, space = dict(self.normalize), vec_env.observation_space
+        kwargs = dict(self.normalize)
         if kwargs["norm_obs"]:
-            numbers = number_keys(space)
-            if not numbers:
+            keys = number_keys(vec_env.observation_space)
+            if not keys:
                 message = "an observation of images is not normalized: use reward, or false"
                 raise ConfigError([Problem("algo.normalize", message)])
-            kwargs |= {"norm_obs_keys": numbers} if isinstance(space, Dict) else {}
+            if isinstance(vec_env.observation_space, Dict):
+                kwargs["norm_obs_keys"] = keys
         normalized: Any = VecNormalize(vec_env, **kwargs)  # its obs_rms is declared as a dict
         if mirror is not None and kwargs["norm_obs"]:
             normalized.obs_rms = MirroredMeanStd(mirror)
@@ -246,13 +252,17 @@ def action_noise(kind: str, std: float | None, width: int, num_envs: int) -> Act
         width: Number of action columns.
         num_envs: Number of environments.
     """
-    noise = NormalActionNoise if kind == "normal" else OrnsteinUhlenbeckActionNoise
-    base = noise(np.zeros(width), np.full(width, _DEFAULT_STD if std is None else std))
-    return VectorizedActionNoise(base, num_envs) if num_envs > 1 else base
+    noise_class = NormalActionNoise if kind == "normal" else OrnsteinUhlenbeckActionNoise
+    if std is None:
+        std = _DEFAULT_STD
+    noise = noise_class(np.zeros(width), np.full(width, std))
+    if num_envs == 1:
+        return noise
+    return VectorizedActionNoise(noise, num_envs)
 
 
 def _ignored(names: list[str] | None, vec_env: SB3VecEnv) -> list[int | str]:
-    """What a policy of `ChunkPolicy` does not read: columns of a vector, entries of a dict.
+    """Return what a `ChunkPolicy` does not read: columns of a vector, entries of a dict.
 
     Args:
         names: Observations; None are those of the last action.
@@ -264,9 +274,12 @@ def _ignored(names: list[str] | None, vec_env: SB3VecEnv) -> list[int | str]:
     manager = vec_env.base.observation_manager
     entries = manager.group_terms(vec_env.group)
     if names is None:
-        terms = manager.terms.values()
-        actions = [t.cfg.name or t.name for t in terms if t.spec.name == "last_action"]
-        names = [name for name in actions if name in entries]
+        last_actions = [
+            term.cfg.name or term.name
+            for term in manager.terms.values()
+            if term.spec.name == "last_action"
+        ]
+        names = [name for name in last_actions if name in entries]
         if names:
             _log.info("bc does not read %s: algo.ignore=[] would", ", ".join(names))
     problems = [
@@ -285,12 +298,11 @@ def _ignored(names: list[str] | None, vec_env: SB3VecEnv) -> list[int | str]:
     if isinstance(vec_env.observation_space, Dict):
         return list(names)
     columns = observation_columns(vec_env.base, vec_env.group)
-    owners = [column.partition("[")[0] for column in columns]
-    return [i for i, owner in enumerate(owners) if owner in names]
+    return [i for i, column in enumerate(columns) if column.partition("[")[0] in names]
 
 
 def _scheduled(value: Any) -> Any:
-    """``lin_VALUE`` as a schedule that decays linearly from VALUE to 0 at the end of training."""
+    """Return ``lin_VALUE`` as a schedule that decays linearly to 0 at the end of training."""
     if isinstance(value, str) and value.startswith(_LINEAR):
         return LinearSchedule(float(value.removeprefix(_LINEAR)), 0.0, 1.0)
     return value
@@ -327,12 +339,32 @@ def _check_symmetric(cfg: AlgoCfg, policy: type[BasePolicy]) -> list[Problem]:
     return []
 
 
+def _check_normalize(cfg: AlgoCfg) -> tuple[dict[str, Any] | None, list[Problem]]:
+    """Return the arguments of `VecNormalize`, None if nothing is normalized, and every mistake."""
+    path = "algo.normalize_kwargs"
+    values, problems = _check_call(VecNormalize, cfg.normalize_kwargs, _NORMALIZE_INSTEAD, path)
+    if not cfg.normalize:
+        if cfg.normalize_kwargs:
+            message = "nothing is normalized; set algo.normalize to obs, reward or both"
+            problems.append(Problem(path, message))
+        return None, problems
+    gamma = getattr(cfg, "gamma", None)
+    arguments = {
+        "gamma": _DEFAULT_GAMMA if gamma is None else gamma,
+        "norm_obs": cfg.normalize != "reward",
+        "norm_reward": cfg.normalize != "obs",
+        **values,
+    }
+    return arguments, problems
+
+
 def _check_policy_kwargs(
-    policy: Callable[..., Any], given: Mapping[str, Any]
+    policy: Callable[..., Any], policy_kwargs: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[Problem]]:
     path = "algo.policy_kwargs"
-    kwargs, problems = dict(given), list[Problem]()
-    for key, classes in _NAMED.items():
+    kwargs = dict(policy_kwargs)
+    problems: list[Problem] = []
+    for key, classes in _NAMED_CLASSES.items():
         if key not in kwargs:
             continue
         name = kwargs.pop(key)
@@ -342,23 +374,31 @@ def _check_policy_kwargs(
         message = f"unknown name {name!r}; allowed: {', '.join(classes)}"
         hint = did_you_mean(str(name), classes).strip()
         problems.append(Problem(f"{path}.{key}", message, hint))
-    values, found = _check_call(policy, kwargs, _POLICY_INSTEAD, path)
+    values, call_problems = _check_call(policy, kwargs, _POLICY_INSTEAD, path)
+    problems += call_problems
     critic = "qf" if "n_critics" in inspect.signature(policy).parameters else "vf"
-    found += _check_layers(values.get("net_arch"), critic, f"{path}.net_arch")
-    return values, problems + found
+    problems += _check_layers(values.get("net_arch"), critic, f"{path}.net_arch")
+    return values, problems
 
 
 def _check_layers(layers: Any, critic: str, path: str) -> list[Problem]:
     """Check `net_arch`: SB3 ignores unknown keys of a map, and fails late on empty layers."""
-    problems = []
-    for key, widths in layers.items() if isinstance(layers, dict) else [("", layers or [])]:
-        at = f"{path}.{key}" if key else path
-        if key not in ("", "pi", critic):
+    if not isinstance(layers, dict):
+        return _check_widths(layers or [], path)
+    problems: list[Problem] = []
+    for key, widths in layers.items():
+        if key in ("", "pi", critic):
+            problems += _check_widths(widths, f"{path}.{key}" if key else path)
+        else:
             message = f"unknown part; allowed: pi (policy), {critic} (value)"
-            problems.append(Problem(at, message))
-        elif any(width < 1 for width in widths):
-            problems.append(Problem(at, f"layers need a width of at least 1, got {widths}"))
+            problems.append(Problem(f"{path}.{key}", message))
     return problems
+
+
+def _check_widths(widths: list[int], path: str) -> list[Problem]:
+    if any(width < 1 for width in widths):
+        return [Problem(path, f"layers need a width of at least 1, got {widths}")]
+    return []
 
 
 def _check_call(

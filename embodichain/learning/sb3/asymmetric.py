@@ -54,15 +54,16 @@ class _TwoViews(BasePolicy):
         **kwargs: Any,
     ) -> None:
         # Before the networks are built, which is done by the constructor of Stable-Baselines3.
-        self.actor_keys, self.critic_keys = tuple(actor_keys), tuple(critic_keys)
+        self.actor_keys = tuple(actor_keys)
+        self.critic_keys = tuple(critic_keys)
         kwargs["share_features_extractor"] = False
         super().__init__(observation_space, action_space, lr_schedule, **kwargs)
 
     def extractor_of(self, keys: Iterable[str]) -> BaseFeaturesExtractor:
         """Return a new features extractor for some entries of the observation."""
         space: Any = self.observation_space
-        seen = spaces.Dict({key: space[key] for key in keys})
-        return self.features_extractor_class(seen, **self.features_extractor_kwargs)
+        entries = spaces.Dict({key: space[key] for key in keys})
+        return self.features_extractor_class(entries, **self.features_extractor_kwargs)
 
 
 class AsymmetricActorCriticPolicy(_TwoViews, MultiInputActorCriticPolicy):

@@ -28,35 +28,44 @@ class SmallCnn(BaseFeaturesExtractor):
     """
 
     def __init__(self, observation_space: spaces.Space[Any], features: int = 64) -> None:
-        alone = {"": observation_space}
-        parts = observation_space.spaces if isinstance(observation_space, spaces.Dict) else alone
-        images = {key: space for key, space in parts.items() if is_image_space(space)}
-        width = features * len(images) + sum(
-            get_flattened_obs_dim(space) for key, space in parts.items() if key not in images
-        )
+        entries: dict[str, spaces.Space[Any]] = {"": observation_space}
+        if isinstance(observation_space, spaces.Dict):
+            entries = observation_space.spaces
+        # The key of a module must not contain a "/", as entries do.
+        module_keys: dict[str, str] = {}
+        networks: dict[str, nn.Module] = {}
+        width = 0
+        for key, space in entries.items():
+            if is_image_space(space):
+                module_keys[key] = f"image{len(module_keys)}"
+                networks[module_keys[key]] = _network(space, features)
+                width += features
+            else:
+                width += get_flattened_obs_dim(space)
         super().__init__(observation_space, width)
-        self._keys = list(parts)
-        self._names = {key: f"image{number}" for number, key in enumerate(images)}
-        networks = {self._names[key]: _network(space, features) for key, space in images.items()}
-        self.networks = nn.ModuleDict(networks)  # a key of a module has no "/"
+        self._keys = list(entries)
+        self._module_keys = module_keys
+        self.networks = nn.ModuleDict(networks)
 
     def forward(self, observations: Any) -> torch.Tensor:
         """(B, features_dim) features of B observations, as Stable-Baselines3 scales them."""
-        parts = observations if isinstance(observations, dict) else {"": observations}
-        found = [
-            self.networks[self._names[key]](parts[key])
-            if key in self._names
-            else parts[key].flatten(1)
-            for key in self._keys
-        ]
-        return torch.cat(found, dim=1)
+        entries = observations if isinstance(observations, dict) else {"": observations}
+        features: list[torch.Tensor] = []
+        for key in self._keys:
+            if key in self._module_keys:
+                network = self.networks[self._module_keys[key]]
+                features.append(network(entries[key]))
+            else:
+                features.append(entries[key].flatten(1))
+        return torch.cat(features, dim=1)
 
 
 def _network(space: Any, features: int) -> nn.Module:
     layers: list[nn.Module] = []
     channels = space.shape[0]
     for width, kernel, stride in _LAYERS:
-        layers += [nn.Conv2d(channels, width, kernel, stride, padding=kernel // 2), nn.ReLU()]
+        layers.append(nn.Conv2d(channels, width, kernel, stride, padding=kernel // 2))
+        layers.append(nn.ReLU())
         channels = width
     layers.append(nn.Flatten())
     with torch.no_grad():

@@ -56,17 +56,24 @@ class NormalizeStatistics:
     @classmethod
     def of(cls, env: VecNormalize) -> NormalizeStatistics:
         """Copy the statistics from the wrapper of a training."""
-        # Without norm_obs, VecNormalize has no obs_rms at all.
-        width = env.observation_space.shape or ()
-        found: Any = env.obs_rms if env.norm_obs else RunningMeanStd(shape=width)
-        parts = found if isinstance(found, dict) else {"": found}
-        means = {key: np.array(part.mean) for key, part in parts.items()}
-        variances = {key: np.array(part.var) for key, part in parts.items()}
-        named = isinstance(found, dict)
+        if env.norm_obs:
+            obs_rms: Any = env.obs_rms
+        else:  # VecNormalize has no obs_rms then
+            obs_rms = RunningMeanStd(shape=env.observation_space.shape or ())
+        obs_mean: Moments
+        obs_var: Moments
+        if isinstance(obs_rms, dict):
+            obs_mean = {key: np.array(entry.mean) for key, entry in obs_rms.items()}
+            obs_var = {key: np.array(entry.var) for key, entry in obs_rms.items()}
+            obs_count = next(iter(obs_rms.values())).count  # entries are counted together
+        else:
+            obs_mean = np.array(obs_rms.mean)
+            obs_var = np.array(obs_rms.var)
+            obs_count = obs_rms.count
         return cls(
-            obs_mean=means if named else means[""],
-            obs_var=variances if named else variances[""],
-            obs_count=float(next(iter(parts.values())).count),  # entries are counted together
+            obs_mean=obs_mean,
+            obs_var=obs_var,
+            obs_count=float(obs_count),
             ret_mean=np.array(env.ret_rms.mean),
             ret_var=np.array(env.ret_rms.var),
             ret_count=float(env.ret_rms.count),
@@ -84,11 +91,11 @@ class NormalizeStatistics:
     def restore(self, env: VecNormalize) -> None:
         """Set the statistics of a `VecNormalize` to the same bits; its settings are unchanged."""
         if env.norm_obs:
-            found: Any = env.obs_rms
-            means, variances = _by_key(self.obs_mean), _by_key(self.obs_var)
-            for key, target in _by_key(found).items():
-                _put(target, means[key], variances[key], self.obs_count)
-        _put(env.ret_rms, self.ret_mean, self.ret_var, self.ret_count)
+            means = _by_key(self.obs_mean)
+            variances = _by_key(self.obs_var)
+            for key, obs_rms in _by_key(env.obs_rms).items():
+                _set_moments(obs_rms, means[key], variances[key], self.obs_count)
+        _set_moments(env.ret_rms, self.ret_mean, self.ret_var, self.ret_count)
         env.returns = self.returns.copy()
 
     def normalize(self, obs: Any) -> Any:
@@ -100,32 +107,34 @@ class NormalizeStatistics:
             obs: An array (..., K), or a dict; entries without statistics, such as images, are
                 passed on, and entries may be missing.
         """
-        means, variances = _by_key(self.obs_mean), _by_key(self.obs_var)
-        if isinstance(obs, dict):
-            return {
-                key: self._scaled(value, means[key], variances[key])
-                if self.norm_obs and key in means
-                else value
-                for key, value in obs.items()
-            }
-        return self._scaled(obs, means[""], variances[""]) if self.norm_obs else _f32(obs)
+        means = _by_key(self.obs_mean)
+        variances = _by_key(self.obs_var)
+        if not isinstance(obs, dict):
+            if not self.norm_obs:
+                return _f32(obs)
+            return self._normalize_entry(obs, means[""], variances[""])
+        entries = dict(obs)
+        if self.norm_obs:
+            for key in means.keys() & obs.keys():
+                entries[key] = self._normalize_entry(obs[key], means[key], variances[key])
+        return entries
 
-    def _scaled(self, obs: NDArray[Any], mean: F64, variance: F64) -> NDArray[np.float32]:
+    def _normalize_entry(self, obs: NDArray[Any], mean: F64, variance: F64) -> NDArray[np.float32]:
         scaled = (obs - mean) / np.sqrt(variance + self.epsilon)
         return _f32(np.clip(scaled, -self.clip_obs, self.clip_obs))
 
 
 def number_keys(space: spaces.Space[Any]) -> list[str]:
-    """Return the entries of an observation that are normalized: floating point and no images.
+    """Return the entries of an observation that are normalized: floating point, not images.
 
     Args:
         space: One observation, or a Dict; the name of the only entry of the former is "".
     """
-    parts = space.spaces if isinstance(space, spaces.Dict) else {"": space}
+    entries = space.spaces if isinstance(space, spaces.Dict) else {"": space}
     return [
         key
-        for key, part in parts.items()
-        if part.dtype == np.float32 and len(part.shape or ()) < _IMAGE_DIMENSIONS
+        for key, entry in entries.items()
+        if entry.dtype == np.float32 and len(entry.shape or ()) < _IMAGE_DIMENSIONS
     ]
 
 
@@ -155,15 +164,16 @@ def load_statistics(path: str | Path) -> NormalizeStatistics:
     if not Path(path).is_file():
         message = f"{path} is missing: this policy needs the statistics its training normalized by"
         raise ConfigError([Problem("policy", message)])
-    found = read_tree(Path(path), "policy", "normalization statistics")
+    fields = read_tree(Path(path), key="policy", what="normalization statistics")
     try:
-        return NormalizeStatistics(**found)
+        return NormalizeStatistics(**fields)
     except TypeError as error:
         message = f"{path} has no normalization statistics: {error}"
         raise ConfigError([Problem("policy", message)]) from error
 
 
 def _by_key(moments: Any) -> dict[str, Any]:
+    """Return the moments of a dict by entry; those of an array have the name ""."""
     return moments if isinstance(moments, dict) else {"": moments}
 
 
@@ -171,5 +181,7 @@ def _f32(values: Any) -> NDArray[np.float32]:
     return np.asarray(values, np.float32)
 
 
-def _put(target: RunningMeanStd, mean: F64, var: F64, count: float) -> None:
-    target.mean, target.var, target.count = mean.copy(), var.copy(), count
+def _set_moments(statistics: RunningMeanStd, mean: F64, var: F64, count: float) -> None:
+    statistics.mean = mean.copy()
+    statistics.var = var.copy()
+    statistics.count = count

@@ -12,7 +12,7 @@ import binascii
 import json
 import logging
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -51,26 +51,29 @@ def load_plain(file: Path, algorithm: type[BaseAlgorithm]) -> BaseAlgorithm:
         algorithm: The class of the model.
 
     Raises:
-        NeedsTrust: If a part of the model is no plain data, and no class of the register.
+        NeedsTrust: If a part of the model is neither plain data nor a class of the register.
         ConfigError: If the file is damaged, or its parts do not fit.
     """
-    data = _attributes(file)
-    pickles = {name: _pickle_of(value) for name, value in data.items() if _is_pickled(value)}
-    parts = {name: _part(file, name, data, pickles) for name in _NEEDED}
-    _say_what_is_not_read(file, pickles)
+    data = _read_attributes(file)
+    pickles = _read_pickles(data)
+    needed = {name: _needed_value(file, name, data, pickles) for name in _NEEDED}
+    _warn_of_unread_code(file, pickles)
     try:
         model = algorithm(
-            policy=parts["policy_class"],
+            policy=needed["policy_class"],
             env=None,
             device="cpu",
             _init_setup_model=False,  # type: ignore[call-arg]
         )
-        own = vars(model)
-        plain = {n: v for n, v in data.items() if n in own and not _is_pickled(v)}
-        plain |= _numbers({n: found for n, found in pickles.items() if n in own})
-        unused = {name: value for name, value in UNUSED.items() if name in own}
-        own.update({**plain, **parts, **unused, "n_envs": 1})
-        own["policy_kwargs"] = _arguments(parts["policy_kwargs"])
+        attributes = vars(model)
+        saved = {name: value for name, value in data.items() if name not in pickles}
+        saved |= _read_numbers(pickles, set(attributes))
+        saved |= UNUSED
+        # Attributes that this algorithm does not have are left out: of another version, say.
+        attributes |= {name: value for name, value in saved.items() if name in attributes}
+        attributes |= needed
+        attributes["n_envs"] = 1
+        attributes["policy_kwargs"] = _policy_arguments(needed["policy_kwargs"])
         unbuilt: _Unbuilt = model
         unbuilt._setup_model()
     except Exception as error:  # parts that do not fit may raise anything
@@ -89,85 +92,97 @@ def pickled_names(file: Path) -> list[str]:
     Raises:
         ConfigError: If the file is damaged.
     """
-    pickles = [_pickle_of(value) for value in _attributes(file).values() if _is_pickled(value)]
-    return _unusual({str(i): found for i, found in enumerate(pickles)})
+    pickles = _read_pickles(_read_attributes(file))
+    return _unusual_names(pickles.values())
 
 
-def _attributes(file: Path) -> dict[str, Any]:
-    """The attributes of a model, as the JSON in its zip has them."""
+def _read_attributes(file: Path) -> dict[str, Any]:
+    """Return the attributes of a model, as the JSON in its zip has them."""
     try:
         with zipfile.ZipFile(file) as archive:
             data = json.loads(archive.read("data"))
     except (OSError, KeyError, ValueError, RecursionError, zipfile.BadZipFile) as error:
         raise _damaged(file, str(error)) from error
     if not isinstance(data, dict):
-        raise _damaged(file, "its data is no map")
+        raise _damaged(file, "its data is not a map")
     return data
 
 
-def _is_pickled(value: Any) -> bool:
-    return isinstance(value, dict) and _PICKLED in value
+def _read_pickles(data: Mapping[str, Any]) -> dict[str, InertPickle]:
+    """Return what the pickled ones of a model's attributes contain, by name."""
+    pickles: dict[str, InertPickle] = {}
+    for name, value in data.items():
+        if isinstance(value, dict) and _PICKLED in value:
+            pickles[name] = _read_pickle(value[_PICKLED])
+    return pickles
 
 
-def _pickle_of(value: Mapping[str, Any]) -> InertPickle:
+def _read_pickle(encoded: Any) -> InertPickle:
     try:
-        return read_inert(base64.b64decode(value[_PICKLED]))
+        return read_inert(base64.b64decode(encoded))
     except (TypeError, ValueError, binascii.Error) as error:
         return InertPickle(damage=str(error))
 
 
-def _part(
+def _needed_value(
     file: Path, name: str, data: Mapping[str, Any], pickles: Mapping[str, InertPickle]
 ) -> Any:
-    """One of the attributes that are needed."""
+    """Return one of the attributes that are needed; errors as of `load_plain`."""
     if name not in data:
         raise _damaged(file, f"it has no {name}")
     if name not in pickles:
         return data[name]
-    found = pickles[name]
-    names = _unusual(pickles)
+    content = pickles[name]
+    names = _unusual_names(pickles.values())
     try:
-        if found.damage:
-            raise ValueError(found.damage)
-        return rebuild(found.value)
+        if content.damage:
+            raise ValueError(content.damage)
+        return rebuild(content.value)
     except NotData as error:
         names = list(dict.fromkeys([error.name, *names]))
         raise needs_trust(file, f"its {name} is made by {error.name}", names) from error
     except ValueError as error:
-        why = f"its {name} is no plain data ({error})"
-        raise (needs_trust(file, why, names) if names else _damaged(file, why)) from error
+        why = f"its {name} is not plain data ({error})"
+        if names:
+            raise needs_trust(file, why, names) from error
+        raise _damaged(file, why) from error
 
 
-def _numbers(pickles: Mapping[str, InertPickle]) -> dict[str, Any]:
-    """Those of the attributes that are numbers of numpy, such as an entropy."""
-    found = {}
+def _read_numbers(
+    pickles: Mapping[str, InertPickle], attributes: Collection[str]
+) -> dict[str, Any]:
+    """Return those of some attributes that are pickled numbers of numpy, such as an entropy."""
+    numbers: dict[str, Any] = {}
     for name, content in pickles.items():
-        with suppress(NotData, ValueError):  # then it is no number
+        if name not in attributes:
+            continue
+        with suppress(NotData, ValueError):  # then it is not a number
             value = rebuild(content.value)
             if isinstance(value, (np.generic, int, float)):
-                found[name] = value
-    return found
+                numbers[name] = value
+    return numbers
 
 
-def _arguments(kwargs: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of a policy; Stable-Baselines3 saved layers as a list of one map before 1.8."""
-    found = {name: value for name, value in kwargs.items() if name != "device"}
-    layers = found.get("net_arch")
+def _policy_arguments(saved: dict[str, Any]) -> dict[str, Any]:
+    """Return a policy's arguments; Stable-Baselines3 saved layers as a list of a map before 1.8."""
+    arguments = {name: value for name, value in saved.items() if name != "device"}
+    layers = arguments.get("net_arch")
     if isinstance(layers, list) and layers and isinstance(layers[0], dict):
-        found["net_arch"] = layers[0]
-    return found
+        arguments["net_arch"] = layers[0]
+    return arguments
 
 
-def _unusual(pickles: Mapping[str, InertPickle]) -> list[str]:
-    names = dict.fromkeys(name for found in pickles.values() for name in found.names)
+def _unusual_names(pickles: Iterable[InertPickle]) -> list[str]:
+    names = dict.fromkeys(name for content in pickles for name in content.names)
     return [name for name in names if not is_usual(name)]
 
 
-def _say_what_is_not_read(file: Path, pickles: Mapping[str, InertPickle]) -> None:
+def _warn_of_unread_code(file: Path, pickles: Mapping[str, InertPickle]) -> None:
     """Warn of code in attributes that are not needed, which is unusual."""
-    unneeded = {name: found for name, found in pickles.items() if name not in _NEEDED}
-    for name, found in unneeded.items():
-        names = _unusual({name: found})
+    for name, content in pickles.items():
+        if name in _NEEDED:
+            continue
+        names = _unusual_names([content])
         if names:
             _log.warning("%s: its %s would run %s: it is not read", file, name, listed(names))
 

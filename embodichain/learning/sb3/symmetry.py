@@ -40,7 +40,7 @@ Rules = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Columns:
-    """A reflection of vectors: column i of the image is `sign[i]` times column `index[i]`.
+    """A reflection of vectors: column i of the mirror image is `sign[i]` times column `index[i]`.
 
     Attributes:
         index: (K,) int64.
@@ -52,8 +52,7 @@ class Columns:
 
     def __call__(self, rows: NDArray[Any]) -> NDArray[Any]:
         """Return the mirror images of vectors (..., K)."""
-        image: NDArray[Any] = rows[..., self.index] * self.sign.astype(rows.dtype)
-        return image
+        return rows[..., self.index] * self.sign.astype(rows.dtype)
 
 
 @dataclass(frozen=True)
@@ -84,151 +83,202 @@ class Mirror:
         if cfg is None:
             message = "the task declares no symmetry: see task.symmetry"
             raise ConfigError([Problem("algo.symmetric", message)])
-        joints, problems = _joints(cfg, env)
-        columns = env.observation_manager.columns(group)
-        widths = {name: s.stop - s.start for name, s in env.action_manager.slices.items()}
-        scans, wrong = _scans(cfg, env)
-        problems += wrong
-        named = {name: scans.get(name, joints) for name in columns}
-        seen, wrong = _compile(cfg.observations, columns, named, "observation")
-        problems += wrong
-        done, wrong = _compile(cfg.actions, widths, dict.fromkeys(widths, joints), "action")
-        problems += wrong
+        joints, problems = _reflect_joints(cfg, env)
+        scans, scan_problems = _reflect_scans(cfg, env)
+        problems += scan_problems
+        observation_widths = env.observation_manager.columns(group)
+        observations, observation_problems = _join_terms(
+            cfg.observations,
+            widths=observation_widths,
+            named={name: scans.get(name, joints) for name in observation_widths},
+            kind="observation",
+        )
+        problems += observation_problems
+        action_slices = env.action_manager.slices
+        actions, action_problems = _join_terms(
+            cfg.actions,
+            widths={name: columns.stop - columns.start for name, columns in action_slices.items()},
+            named=dict.fromkeys(action_slices, joints),
+            kind="action",
+        )
+        problems += action_problems
         if problems:
             raise ConfigError([problem.below("task.symmetry") for problem in problems])
-        return cls(seen, done)
+        return cls(observations, actions)
 
     def to_list(self) -> list[list[float]]:
         """Return it as plain numbers: indices and signs of observations, then of actions."""
-        both = self.observations, self.actions
-        return [part.tolist() for columns in both for part in (columns.index, columns.sign)]
+        return [
+            self.observations.index.tolist(),
+            self.observations.sign.tolist(),
+            self.actions.index.tolist(),
+            self.actions.sign.tolist(),
+        ]
 
     @classmethod
     def from_list(cls, numbers: Sequence[Sequence[float]]) -> Mirror:
         """Return the mirror of a `to_list`."""
-        parts = [np.array(part) for part in numbers]
-        columns = [
-            Columns(index.astype(np.int64), sign.astype(np.float32))
-            for index, sign in zip(parts[::2], parts[1::2], strict=True)
-        ]
-        return cls(*columns)
+        observation_index, observation_sign, action_index, action_sign = numbers
+        return cls(
+            observations=Columns(
+                np.array(observation_index).astype(np.int64),
+                np.array(observation_sign).astype(np.float32),
+            ),
+            actions=Columns(
+                np.array(action_index).astype(np.int64),
+                np.array(action_sign).astype(np.float32),
+            ),
+        )
 
 
-def _joints(cfg: SymmetryCfg, env: BaseEnv) -> tuple[Columns, list[Problem]]:
-    """The reflection of one value for each active joint of the robot, and every mistake."""
+def _unchanged(width: int) -> Columns:
+    """Return the reflection that leaves vectors of a width as they are."""
+    return Columns(np.arange(width), np.ones(width, np.float32))
+
+
+def _reflect_joints(cfg: SymmetryCfg, env: BaseEnv) -> tuple[Columns, list[Problem]]:
+    """Return the reflection of one value for each active joint of the robot, and every mistake."""
     robots = env.sim.get_robot_uid_list()
     uid = cfg.robot if cfg.robot is not None else next(iter(robots), "")
     robot: Any = env.sim.get_robot(uid) if uid in robots else None
-    empty = Columns(np.zeros(0, np.int64), np.zeros(0, np.float32))
     if robot is None:
         message = f"no robot is called {uid!r}; there are: {', '.join(robots)}"
-        return empty, [Problem("robot", message, did_you_mean(uid, robots).strip())]
+        problem = Problem("robot", message, did_you_mean(uid, robots).strip())
+        return _unchanged(0), [problem]
     names = [robot.joint_names[i] for i in robot.active_joint_ids]
-    index, sign = np.arange(len(names)), np.ones(len(names), np.float32)
+    columns = _unchanged(len(names))
     problems: list[Problem] = []
     for pattern, image in cfg.swap.items():
-        found, wrong = match_every(pattern, names, "joint", f"swap.{pattern}")
-        problems += wrong
-        for i in found:
-            try:
-                other = re.sub(pattern, image, names[i], count=1)
-            except (re.error, IndexError) as error:
-                problems.append(Problem(f"swap.{pattern}", f"malformed {image!r}: {error}"))
-                break
-            if other not in names:
-                message = f"{names[i]!r} has no counterpart {other!r}; there are: "
-                hint = did_you_mean(other, names).strip()
-                problems.append(Problem(f"swap.{pattern}", message + listing(names, other), hint))
-                break
-            j = names.index(other)
-            taken = [k for k in (i, j) if index[k] != k]
-            if taken or i == j:
-                message = f"{names[i]!r} and {other!r} are no new pair"
-                problems.append(Problem(f"swap.{pattern}", message))
-                break
-            index[i], index[j] = j, i
+        problems += _swap_joints(columns.index, names, pattern, image)
     patterns = [cfg.opposite] if isinstance(cfg.opposite, str) else cfg.opposite or []
     for pattern in patterns:
-        found, wrong = match_every(pattern, names, "joint", "opposite")
-        problems += wrong
-        sign[list(found)] = -1.0
-    uneven = [names[i] for i in range(len(names)) if sign[i] != sign[index[i]]]
+        opposite_joints, pattern_problems = match_every(pattern, names, "joint", "opposite")
+        problems += pattern_problems
+        columns.sign[list(opposite_joints)] = -1.0
+    has_same_sign = columns.sign == columns.sign[columns.index]
+    uneven = [name for name, is_same in zip(names, has_same_sign, strict=True) if not is_same]
     if uneven:
         message = f"one joint of a pair is opposite, the other is not: {', '.join(uneven)}"
         problems.append(Problem("opposite", message))
-    return Columns(index, sign), problems
+    return columns, problems
 
 
-def _scans(cfg: SymmetryCfg, env: BaseEnv) -> tuple[dict[str, Columns], list[Problem]]:
-    """Observation -> the reflection of its height scan, and every mistake."""
-    found: dict[str, Columns] = {}
+def _swap_joints(
+    index: NDArray[np.int64], names: list[str], pattern: str, image: str
+) -> list[Problem]:
+    """Swap the joints of a pattern with their counterparts; return every mistake.
+
+    Args:
+        index: (J,) for each joint, the one that takes its place; updated in place.
+        names: (J,) the joints.
+        pattern: A regular expression for joints on one side.
+        image: The name of the counterpart, with groups of the pattern.
+    """
+    path = f"swap.{pattern}"
+    matching_joints, problems = match_every(pattern, names, "joint", path)
+    problems = list(problems)
+    for joint in matching_joints:
+        name = names[joint]
+        try:
+            counterpart = re.sub(pattern, image, name, count=1)
+        except (re.error, IndexError) as error:
+            return [*problems, Problem(path, f"malformed {image!r}: {error}")]
+        if counterpart not in names:
+            message = f"{name!r} has no counterpart {counterpart!r}; there are: "
+            message += listing(names, counterpart)
+            hint = did_you_mean(counterpart, names).strip()
+            return [*problems, Problem(path, message, hint)]
+        other = names.index(counterpart)
+        is_swapped = index[joint] != joint or index[other] != other
+        if is_swapped or joint == other:
+            message = f"{name!r} and {counterpart!r} are not a new pair"
+            return [*problems, Problem(path, message)]
+        index[joint] = other
+        index[other] = joint
+    return problems
+
+
+def _reflect_scans(cfg: SymmetryCfg, env: BaseEnv) -> tuple[dict[str, Columns], list[Problem]]:
+    """Return observation -> the reflection of its height scan, and every mistake."""
+    scans: dict[str, Columns] = {}
     problems: list[Problem] = []
     for name, rule in cfg.observations.items():
         term = env.cfg.observations.get(name)
         if rule != _SCAN or term is None:
             continue
         sensor = env.cfg.sensors.get(str(term.params.get("sensor")))
-        message = ""
-        if not isinstance(sensor, HeightScanSensorCfg):
-            message = "scan is for observations of a height scan (sensor_type height_scan)"
-        elif sensor.alignment == "world":
-            message = "a height scan with alignment world does not turn with the robot"
-        elif not _is_even(sensor):
-            message = "its sensor is not symmetric: pos[1], quat[1], quat[3] and "
-            message += "pattern.grid.direction[1] have to be 0"
-        starts = np.zeros((1, 3))
-        if message:
-            problems.append(Problem(f"observations.{name}", message))
+        why = _why_not_reflected(sensor)
+        if why:
+            problems.append(Problem(f"observations.{name}", why))
+            scans[name] = _unchanged(1)  # of a width that divides any other
         elif isinstance(sensor, HeightScanSensorCfg):
-            starts, _ = pattern_rays(sensor.pattern)
-        rows = len(np.unique(starts[:, 1]))  # along x, the first at the lowest y
-        index = np.arange(len(starts)).reshape(rows, -1)[::-1].ravel()
-        found[name] = Columns(index, np.ones(len(starts), np.float32))
-    return found, problems
+            scans[name] = _reflect_scan(sensor)
+    return scans, problems
 
 
-def _is_even(sensor: HeightScanSensorCfg) -> bool:
-    """Whether the rays of a height scan are their own mirror images."""
+def _why_not_reflected(sensor: Any) -> str:
+    """Return why a sensor is not a height scan with a mirror image; empty if it is."""
+    if not isinstance(sensor, HeightScanSensorCfg):
+        return "scan is for observations of a height scan (sensor_type height_scan)"
+    if sensor.alignment == "world":
+        return "a height scan with alignment world does not turn with the robot"
     grid = sensor.pattern.grid
-    across = [sensor.pos[1], sensor.quat[1], sensor.quat[3]]
-    return not any(across) and (grid is None or not grid.direction[1])
+    is_off_plane = any([sensor.pos[1], sensor.quat[1], sensor.quat[3]])
+    if is_off_plane or (grid is not None and grid.direction[1]):
+        message = "its sensor is not symmetric: pos[1], quat[1], quat[3] and "
+        return message + "pattern.grid.direction[1] have to be 0"
+    return ""
 
 
-def _compile(
-    rules: Rules, widths: Mapping[str, int], named: Mapping[str, Columns], what: str
+def _reflect_scan(sensor: HeightScanSensorCfg) -> Columns:
+    """Return the reflection of a symmetric height scan, whose rows of rays change places."""
+    starts, _ = pattern_rays(sensor.pattern)
+    rows = len(np.unique(starts[:, 1]))  # along x, the first at the lowest y
+    index = np.arange(len(starts)).reshape(rows, -1)[::-1].ravel()
+    return Columns(index, np.ones(len(starts), np.float32))
+
+
+def _join_terms(
+    rules: Rules, *, widths: Mapping[str, int], named: Mapping[str, Columns], kind: str
 ) -> tuple[Columns, list[Problem]]:
-    """Join the reflections of consecutive terms of some widths; also return every mistake.
+    """Join the reflections of consecutive terms; also return every mistake.
 
     Args:
         rules: Term -> its rule.
         widths: Term -> its number of columns.
         named: Term -> its reflection where the rule is not a list of signs.
-        what: What a term is called in messages.
+        kind: What a term is called in messages.
     """
     problems = [
-        Problem(f"{what}s.{name}", f"no {what} is called {name!r}", did_you_mean(name, widths))
+        Problem(f"{kind}s.{name}", f"no {kind} is called {name!r}", did_you_mean(name, widths))
         for name in rules
         if name not in widths
     ]
-    index, sign, start = [np.zeros(0, np.int64)], [np.zeros(0, np.float32)], 0
+    index = [np.zeros(0, np.int64)]
+    sign = [np.zeros(0, np.float32)]
+    start = 0
     for name, width in widths.items():
-        path, rule = f"{what}s.{name}", rules.get(name)
-        part = named[name]
+        path = f"{kind}s.{name}"
+        rule = rules.get(name)
+        stop = start + width
         if rule is None:
-            kinds = "joints, scan," if what == "observation" else "joints,"
-            message = f"missing: {kinds} or a sign (1 or -1) for each of its columns"
+            words = "joints, scan," if kind == "observation" else "joints,"
+            message = f"missing: {words} or a sign (1 or -1) for each of its columns"
             problems.append(Problem(path, f"{message}, which are {width}"))
-        elif not isinstance(rule, str):
-            part = Columns(np.arange(len(rule)), np.array(rule, np.float32))
-        size = len(part.sign)
-        if rule is not None and (not size or width % size):
-            message = f"{rule} has {size} columns, the {what} has {width}"
-            problems.append(Problem(path, message))
-        elif rule is not None:
-            for at in range(start, start + width, size):  # several: a history
-                index.append(part.index + at)
-                sign.append(part.sign)
-        start += width
+        else:
+            columns = named[name]
+            if not isinstance(rule, str):
+                columns = Columns(np.arange(len(rule)), np.array(rule, np.float32))
+            size = len(columns.sign)
+            if size == 0 or width % size:
+                message = f"{rule} has {size} columns, the {kind} has {width}"
+                problems.append(Problem(path, message))
+            else:
+                # A history of several steps has the columns several times.
+                for first in range(start, stop, size):
+                    index.append(columns.index + first)
+                    sign.append(columns.sign)
+        start = stop
     return Columns(np.concatenate(index), np.concatenate(sign)), problems
 
 
@@ -249,9 +299,11 @@ class MirroredMeanStd(RunningMeanStd):
         self, batch_mean: NDArray[Any], batch_var: NDArray[Any], batch_count: float
     ) -> None:
         """Count the moments of a batch, and those of its mirror image."""
-        image, index = self._columns(batch_mean), self._columns.index
-        variance = 0.5 * (batch_var + batch_var[index]) + (0.5 * (batch_mean - image)) ** 2
-        super().update_from_moments(0.5 * (batch_mean + image), variance, batch_count)
+        image_mean = self._columns(batch_mean)
+        image_var = batch_var[self._columns.index]  # a sign does not change a variance
+        mean = 0.5 * (batch_mean + image_mean)
+        variance = 0.5 * (batch_var + image_var) + (0.5 * (batch_mean - image_mean)) ** 2
+        super().update_from_moments(mean, variance, batch_count)
 
 
 class _MirroredExtractor(MlpExtractor):
@@ -291,8 +343,7 @@ class _MirroredExtractor(MlpExtractor):
 
     def _critic(self, both: Tensor) -> Tensor:
         latent, image = self.value_net(both).chunk(2)
-        average: Tensor = 0.5 * (latent + image)
-        return average
+        return 0.5 * (latent + image)
 
 
 class SymmetricActorCriticPolicy(ActorCriticPolicy):

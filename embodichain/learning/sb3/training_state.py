@@ -63,12 +63,12 @@ def capture(model: BaseAlgorithm, vec_env: SB3VecEnv, *, rolling: bool) -> dict[
     return {
         "env": vec_env.base.state_dict(),
         "vec_env": vec_env.state_dict(),
-        "counters": {n: getattr(model, n) for n in _COUNTERS if hasattr(model, n)},
+        "counters": {name: getattr(model, name) for name in _COUNTERS if hasattr(model, name)},
         "last": {name: _copy(getattr(model, name)) for name in _LAST},
-        "memory": _memory(model),
+        "memory": _recurrent_states(model),
         "buffers": {name: list(getattr(model, name)) for name in _BUFFERS},
         "exploration": _exploration(model) if rolling else {},
-        "noise": [noise.noise_prev.copy() for noise in _noises(model)],
+        "noise": [noise.noise_prev.copy() for noise in _stateful_noises(model)],
         "generators": {
             "python": random.getstate(),
             "numpy": np.random.get_state(),  # noqa: NPY002  Stable-Baselines3 draws from it
@@ -114,7 +114,7 @@ def restore_exploration(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
 
     Restores also the draws of state-dependent exploration for the current rollout (`use_sde`).
     """
-    for noise, value in zip(_noises(model), saved.get("noise", ()), strict=False):
+    for noise, value in zip(_stateful_noises(model), saved.get("noise", ()), strict=False):
         noise.noise_prev = value
     distribution = _distribution(model)
     for name, value in saved["exploration"].items():
@@ -140,60 +140,66 @@ def load_parameters(model: BaseAlgorithm, path: Path, key: str = "resume") -> No
         if code:
             message = f"{path} cannot be loaded: its weights would run {', '.join(code)}"
             raise ConfigError([Problem(key, message)]) from error
-        raise _wrong(f"{path} cannot be loaded", error, key) from error
+        raise _load_error(f"{path} cannot be loaded", error, key) from error
     try:
         model.set_parameters(params, exact_match=True, device="cpu")
         for name, value in (variables or {}).items():
             if value is not None:
                 recursive_setattr(model, f"{name}.data", value.data)
     except (ValueError, KeyError, RuntimeError, AttributeError) as error:
-        what = f"{path} does not fit the network of the run's config"
-        raise _wrong(what, error, key) from error
+        message = f"{path} does not fit the network of the run's config"
+        raise _load_error(message, error, key) from error
 
 
 def _code_in_weights(path: Path) -> list[str]:
-    """Functions and classes that files of weights name, and that torch does not allow in them."""
-    found: list[str] = []
+    """Return functions and classes that files of weights name, and torch does not allow there."""
+    names: list[str] = []
     with suppress(Exception), zipfile.ZipFile(path) as archive:  # it may be damaged in any way
         check_unpacked(path)
-        for name in archive.namelist():
-            if name.endswith(_WEIGHTS):
-                stream = io.BytesIO(archive.read(name))
-                found += torch.serialization.get_unsafe_globals_in_checkpoint(stream)
-    return list(dict.fromkeys(found))
+        for file_name in archive.namelist():
+            if file_name.endswith(_WEIGHTS):
+                stream = io.BytesIO(archive.read(file_name))
+                names += torch.serialization.get_unsafe_globals_in_checkpoint(stream)
+    return list(dict.fromkeys(names))
 
 
-def _wrong(what: str, error: Exception, key: str = "resume") -> ConfigError:
+def _load_error(message: str, error: Exception, key: str) -> ConfigError:
+    """Return an error with the first two lines of what torch says."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     why = " ".join(lines[:2]) or type(error).__name__
-    return ConfigError([Problem(key, f"{what}: {why}")])
+    return ConfigError([Problem(key, f"{message}: {why}")])
 
 
 def _exploration(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
+    """Return copies of the draws of state-dependent exploration (`use_sde`)."""
     distribution = _distribution(model)
-    found = {name: getattr(distribution, name, None) for name in _EXPLORATION}
-    return {n: v.detach().clone() for n, v in found.items() if isinstance(v, torch.Tensor)}
+    draws: dict[str, torch.Tensor] = {}
+    for name in _EXPLORATION:
+        value = getattr(distribution, name, None)
+        if isinstance(value, torch.Tensor):
+            draws[name] = value.detach().clone()
+    return draws
 
 
 def _distribution(model: BaseAlgorithm) -> Any:
-    """The distribution of the policy or its actor, with draws of state-dependent exploration."""
+    """Return the action distribution of the policy or its actor; None if it has none."""
     owner = getattr(model.policy, "actor", model.policy)
     return getattr(owner, "action_dist", None)
 
 
-def _memory(model: BaseAlgorithm) -> tuple[Any, ...] | None:
-    """A copy of the states of a recurrent policy and its critic in the current episodes."""
+def _recurrent_states(model: BaseAlgorithm) -> tuple[Any, ...] | None:
+    """Return copies of the states of a recurrent policy and its critic in current episodes."""
     states = getattr(model, _MEMORY, None)
     if states is None:
         return None
-    return tuple(tuple(part.detach().clone() for part in pair) for pair in states)
+    return tuple(tuple(state.detach().clone() for state in pair) for pair in states)
 
 
-def _noises(model: BaseAlgorithm) -> list[OrnsteinUhlenbeckActionNoise]:
-    """Action noise with state, one for each environment."""
+def _stateful_noises(model: BaseAlgorithm) -> list[OrnsteinUhlenbeckActionNoise]:
+    """Return action noise with a state, one for each environment."""
     noise = getattr(model, "action_noise", None)
-    parts = noise.noises if isinstance(noise, VectorizedActionNoise) else [noise]
-    return [part for part in parts if isinstance(part, OrnsteinUhlenbeckActionNoise)]
+    noises = noise.noises if isinstance(noise, VectorizedActionNoise) else [noise]
+    return [noise for noise in noises if isinstance(noise, OrnsteinUhlenbeckActionNoise)]
 
 
 def _copy(value: Any) -> Any:
@@ -226,11 +232,17 @@ def save_buffer(path: Path, buffer: ReplayBuffer, env_steps: int) -> None:
     Raises:
         OSError: The file cannot be written (the disk is full); no partial file remains.
     """
-    # One more row: with optimize_memory_usage it contains the last observation.
-    rows = buffer.buffer_size if buffer.full else min(buffer.pos + 1, buffer.buffer_size)
-    arrays = {name: array[:rows] for name, array in _arrays(buffer).items()}
-    kept = {"env_steps": env_steps, "pos": buffer.pos, "full": bool(buffer.full), "arrays": arrays}
-    write_tree(path, kept)
+    rows = buffer.buffer_size
+    if not buffer.full:
+        # One more row: with optimize_memory_usage it contains the last observation.
+        rows = min(buffer.pos + 1, rows)
+    tree = {
+        "env_steps": env_steps,
+        "pos": buffer.pos,
+        "full": bool(buffer.full),
+        "arrays": {name: array[:rows] for name, array in _arrays(buffer).items()},
+    }
+    write_tree(path, tree)
 
 
 def load_buffer(path: Path, buffer: ReplayBuffer, env_steps: int) -> None:
@@ -239,34 +251,39 @@ def load_buffer(path: Path, buffer: ReplayBuffer, env_steps: int) -> None:
     Raises:
         ConfigError: The file is missing, damaged, of another checkpoint, or does not fit.
     """
-    kept = read_tree(path)
-    if kept.get("env_steps") != env_steps:
-        raise _wrong_buffer(
-            path, f"it is of {kept.get('env_steps')} steps, the checkpoint of {env_steps}"
-        )
-    arrays, wanted = kept.get("arrays", {}), _arrays(buffer)
-    for name, target in wanted.items():
-        found = arrays.get(name)
-        if not isinstance(found, np.ndarray) or len(found) > len(target):
-            raise _wrong_buffer(path, f"its {name} do not fit in algo.buffer_size")
-        if found.shape[1:] != target.shape[1:] or found.dtype != target.dtype:
-            have, want = f"{found.dtype} {found.shape[1:]}", f"{target.dtype} {target.shape[1:]}"
-            raise _wrong_buffer(path, f"its {name} are {have}, this training has {want}")
-    for name, target in wanted.items():
-        target[: len(arrays[name])] = arrays[name]
-    buffer.pos, buffer.full = kept["pos"], kept["full"]
+    tree = read_tree(path)
+    saved_steps = tree.get("env_steps")
+    if saved_steps != env_steps:
+        raise _buffer_error(path, f"it is of {saved_steps} steps, the checkpoint of {env_steps}")
+    saved_arrays = tree.get("arrays", {})
+    arrays = _arrays(buffer)
+    for name, array in arrays.items():
+        saved = saved_arrays.get(name)
+        if not isinstance(saved, np.ndarray) or len(saved) > len(array):
+            raise _buffer_error(path, f"its {name} do not fit in algo.buffer_size")
+        if saved.shape[1:] != array.shape[1:] or saved.dtype != array.dtype:
+            saved_type = f"{saved.dtype} {saved.shape[1:]}"
+            needed_type = f"{array.dtype} {array.shape[1:]}"
+            why = f"its {name} are {saved_type}, this training has {needed_type}"
+            raise _buffer_error(path, why)
+    # Only now: a buffer that does not fit leaves this one as it is.
+    for name, array in arrays.items():
+        array[: len(saved_arrays[name])] = saved_arrays[name]
+    buffer.pos = tree["pos"]
+    buffer.full = tree["full"]
 
 
 def _arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
-    found: dict[str, Any] = {name: getattr(buffer, name, None) for name in _ARRAYS}
+    """Return the arrays of a buffer by name; those of a dict of observations as ``NAME/KEY``."""
     arrays: dict[str, NDArray[Any]] = {}
-    for name, value in found.items():
-        if isinstance(value, dict):  # of a dict of observations
+    for name in _ARRAYS:
+        value: Any = getattr(buffer, name, None)
+        if isinstance(value, dict):
             arrays |= {f"{name}/{key}": array for key, array in value.items()}
         elif value is not None:
             arrays[name] = value
     return arrays
 
 
-def _wrong_buffer(path: Path, why: str) -> ConfigError:
+def _buffer_error(path: Path, why: str) -> ConfigError:
     return ConfigError([Problem("resume", f"{path} is not this training's replay buffer: {why}")])

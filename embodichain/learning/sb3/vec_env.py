@@ -160,28 +160,32 @@ class SB3VecEnv(VecEnv):
         """
         if self._action is None:
             raise RuntimeError("step_wait needs the actions that step_async takes")
-        begun = time.perf_counter()
-        action, self._action = self._action, None
+        start = time.perf_counter()
+        action = self._action
+        self._action = None
         obs, reward, terminated, truncated, info = self.env.step(action)
-        seen, rewards, ended, cut = self._on_host(obs, reward, terminated, truncated)
-        dones = ended | cut
+        observed, rewards, is_terminated, is_truncated = self._on_host(
+            obs, reward, terminated, truncated
+        )
+        dones = is_terminated | is_truncated
         self._returns += rewards
         # New dicts: if they shared one, a callback's write to it would appear in all environments
         # and steps. 20 ns each, well below 1 % of a step.
         infos: Infos = [{} for _ in range(self.num_envs)]
         if not none_set(dones):
-            self._finish(infos, np.flatnonzero(dones), ended, info)
-        self.step_seconds += time.perf_counter() - begun
-        return seen, rewards, dones, infos
+            self._finish(infos, np.flatnonzero(dones), is_terminated, info)
+        self.step_seconds += time.perf_counter() - start
+        return observed, rewards, dones, infos
 
     def _on_host(
         self, obs: Any, reward: Any, terminated: Any, truncated: Any
     ) -> tuple[Observed, F32, Bool, Bool]:
         """Return the tensors of a step as arrays; those on another device by one copy."""
         if self._packs:
-            others: dict[Any, torch.Tensor] = dict(enumerate((reward, terminated, truncated)))
-            found = on_host(self._observed.tensors(obs) | others)
-            return self._observed.named(found), found[0], found[1], found[2]
+            # Numbers as keys: no entry of an observation has one.
+            tensors = self._observed.tensors(obs) | {0: reward, 1: terminated, 2: truncated}
+            arrays = on_host(tensors)
+            return self._observed.named(arrays), arrays[0], arrays[1], arrays[2]
         # A copy: learners add bootstrapped values to the rewards in place.
         rewards: F32 = as_array(reward).copy()
         return self._observed(obs), rewards, as_array(terminated), as_array(truncated)
@@ -190,29 +194,30 @@ class SB3VecEnv(VecEnv):
         self, infos: Infos, ids: NDArray[np.int64], terminated: Bool, info: dict[str, Any]
     ) -> None:
         """Fill the infos of environments whose episode ended, and begin the next one's counts."""
-        final = _rows(self._observed(info["final_obs"]), ids)
-        success = as_array(info["final_info"]["success"]) if self._has_success else None
-        lengths = as_array(info["final_info"]["elapsed_steps"])
+        final_info = info["final_info"]
+        observations = _rows(self._observed(info["final_obs"]), ids)
+        success = as_array(final_info["success"]) if self._has_success else None
+        lengths = as_array(final_info["elapsed_steps"])
         seconds = round(time.time() - self._start, 6)
-        kinds = _ended_by(info["final_info"], ids)
-        sums = _by_name(info["final_info"]["episode_sums"], ids)
-        metrics = _by_name(info["final_info"]["metrics"], ids)
-        terms = _by_name(self.base.termination_manager.values, ids)
-        for k, (row, i) in enumerate(zip(final, ids.tolist(), strict=True)):
-            told = infos[i]
-            told["terminal_observation"] = row
-            told["TimeLimit.truncated"] = not terminated[i]
-            told["episode"] = {
+        causes = _ended_by(final_info, ids)
+        reward_sums = _by_name(final_info["episode_sums"], ids)
+        metrics = _by_name(final_info["metrics"], ids)
+        terminations = _by_name(self.base.termination_manager.values, ids)
+        for k, (observation, i) in enumerate(zip(observations, ids.tolist(), strict=True)):
+            env_info = infos[i]
+            env_info["terminal_observation"] = observation
+            env_info["TimeLimit.truncated"] = not terminated[i]
+            env_info["episode"] = {
                 "r": float(self._returns[i]),
                 "l": int(lengths[i]),
                 "t": seconds,
             }
-            told["reward_sums"] = sums[k]
-            told["metrics"] = metrics[k]
-            told["terminations"] = terms[k]
-            told["ended_by"] = kinds[k]
+            env_info["reward_sums"] = reward_sums[k]
+            env_info["metrics"] = metrics[k]
+            env_info["terminations"] = terminations[k]
+            env_info["ended_by"] = causes[k]
             if success is not None:
-                told["is_success"] = bool(success[i])
+                env_info["is_success"] = bool(success[i])
         self._returns[ids] = 0.0
 
     def state_dict(self) -> dict[str, Any]:
@@ -329,48 +334,54 @@ class SB3VecEnv(VecEnv):
         if "env_ids" not in inspect.signature(method).parameters:
             raise ValueError(f"{method_name!r} acts on all environments: it takes no env_ids")
         result = method(*method_args, env_ids=np.asarray(ids), **method_kwargs)
-        rows = isinstance(result, (np.ndarray, torch.Tensor)) and result.shape[:1] == (len(ids),)
-        return list(result) if rows else [result] * len(ids)
+        if isinstance(result, (np.ndarray, torch.Tensor)) and result.shape[:1] == (len(ids),):
+            return list(result)
+        return [result] * len(ids)
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Indices = None
     ) -> list[bool]:
         """Return whether each environment is wrapped; True for `Monitor`, whose infos are here."""
-        found = issubclass(wrapper_class, Monitor) or is_wrapped(self.env, wrapper_class)
-        return [found] * len(self._ids(indices))
+        wrapped = issubclass(wrapper_class, Monitor) or is_wrapped(self.env, wrapper_class)
+        return [wrapped] * len(self._ids(indices))
 
     def _ids(self, indices: Indices) -> list[int]:
         return [range(self.num_envs)[i] for i in self._get_indices(indices)]
 
     def _has_rows(self, value: Any) -> bool:
-        arrays = isinstance(value, (np.ndarray, torch.Tensor))
-        return arrays and tuple(value.shape[:1]) == (self.num_envs,)
+        """Whether a value is an array with one row for each environment."""
+        if not isinstance(value, (np.ndarray, torch.Tensor)):
+            return False
+        return tuple(value.shape[:1]) == (self.num_envs,)
 
     def _split(self, value: Any, ids: list[int]) -> list[Any]:
-        return [value[i] for i in ids] if self._has_rows(value) else [value] * len(ids)
+        if self._has_rows(value):
+            return [value[i] for i in ids]
+        return [value] * len(ids)
 
 
 def _lookup(owner: Any, name: str) -> Any:
-    """An attribute of an environment or of the environment that it wraps."""
-    return owner.get_wrapper_attr(name) if isinstance(owner, gym.Env) else getattr(owner, name)
+    """Return an attribute of an environment or of the environment that it wraps."""
+    if isinstance(owner, gym.Env):
+        return owner.get_wrapper_attr(name)
+    return getattr(owner, name)
 
 
 def _rows(observed: Observed, ids: NDArray[np.int64]) -> Iterable[Any]:
-    """The observations of the environments `ids`, one by one."""
+    """Return the observations of the environments `ids`, one by one."""
     if not isinstance(observed, dict):
         return observed[ids]
-    parts = {name: part[ids] for name, part in observed.items()}
-    return [{name: part[k] for name, part in parts.items()} for k in range(len(ids))]
+    entries = {name: entry[ids] for name, entry in observed.items()}
+    return [{name: entry[k] for name, entry in entries.items()} for k in range(len(ids))]
 
 
 def _by_name(values: Mapping[str, torch.Tensor], ids: NDArray[np.int64]) -> list[dict[str, Any]]:
     """Convert name -> (N,) values to one dict of plain values for each environment of `ids`."""
-    found = {name: as_array(value)[ids].tolist() for name, value in values.items()}
-    return [{name: column[k] for name, column in found.items()} for k in range(len(ids))]
+    columns = {name: as_array(value)[ids].tolist() for name, value in values.items()}
+    return [{name: column[k] for name, column in columns.items()} for k in range(len(ids))]
 
 
 def _ended_by(info: dict[str, Any], ids: NDArray[np.int64]) -> list[str]:
-    """The cause of the end for each environment of `ids`; ``time_out`` if no flag is set."""
-    flags = {name: as_array(info[key])[ids] for name, key in ENDS.items() if key}
-    kinds: list[str] = np.select(list(flags.values()), list(flags), "time_out").tolist()
-    return kinds
+    """Return the cause of the end for each environment of `ids`: ``time_out`` without a flag."""
+    flags = {cause: as_array(info[key])[ids] for cause, key in ENDS.items() if key}
+    return np.select(list(flags.values()), list(flags), "time_out").tolist()

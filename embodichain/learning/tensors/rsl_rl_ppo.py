@@ -52,7 +52,8 @@ class RslRlVecEnv(VecEnv):  # type: ignore[misc]
 
     def __init__(self, env: gym.Env[Any, Any], critic_groups: Iterable[str] = ()) -> None:
         self.env = TensorEnv(env, critic_groups)
-        self.num_envs, self.device = self.env.num_envs, self.env.device
+        self.num_envs = self.env.num_envs
+        self.device = self.env.device
         (self.num_actions,) = self.env.action_space.shape
         self.max_episode_length = self.env.base.max_episode_steps
         self.cfg = self.env.base.cfg
@@ -87,9 +88,10 @@ class RslRlVecEnv(VecEnv):  # type: ignore[misc]
 
     def seed(self, seed: int = -1) -> int:
         """Reset all environments with a seed (-1 draws one), as Isaac Lab's; return it."""
-        drawn = seed if seed >= 0 else int(torch.randint(2**31, ()))
-        self._groups = self.env.reset(seed=drawn)
-        return drawn
+        if seed < 0:
+            seed = int(torch.randint(2**31, ()))
+        self._groups = self.env.reset(seed=seed)
+        return seed
 
     def close(self) -> None:
         """Close the environment."""
@@ -105,12 +107,12 @@ class RslRlVecEnv(VecEnv):  # type: ignore[misc]
         """Step all environments; return observations, rewards (N,), dones (N,) and extras."""
         step = self.env.step(actions)
         self._groups = step.groups
+        extras: dict[str, Any] = {"time_outs": step.time_out}
         values = {f"Reward/{name}": value for name, value in step.info["rewards"].items()}
         values |= {f"Metrics/{name}": value for name, value in step.info["metrics"].items()}
-        extras: dict[str, Any] = {"time_outs": step.time_out}
         if values:
-            means = torch.stack([v.to(torch.float32) for v in values.values()]).mean(dim=1)
-            extras["log"] = dict(zip(values, means, strict=True))
+            rows = torch.stack([value.to(torch.float32) for value in values.values()])
+            extras["log"] = dict(zip(values, rows.mean(dim=1), strict=True))
         return observations(step.groups), step.reward, step.done, extras
 
 
@@ -125,28 +127,51 @@ class RslRlPpo:
     """
 
     def __init__(self, cfg: RslRlPpoCfg, env: TensorEnv) -> None:
-        device, (width,) = str(env.device), env.action_space.shape
-        zeros = {n: torch.zeros(env.num_envs, *s.shape) for n, s in env.spaces.items()}
-        seen = observations({name: value.to(env.device) for name, value in zeros.items()})
-        groups = {"actor": [GROUP], "critic": list(env.critic_groups)}
-        names = ("hidden_dims", "activation", "obs_normalization")
-        network = {name: getattr(cfg, name) for name in names}
-        gaussian = {"class_name": "GaussianDistribution", "init_std": cfg.init_std}
-        actor = MLPModel(seen, groups, "actor", width, distribution_cfg=gaussian, **network)
-        critic = MLPModel(seen, groups, "critic", 1, **network)
         self.steps = cfg.num_steps_per_env or PUBLISHED_STEPS
-        storage = RolloutStorage("rl", env.num_envs, self.steps, seen, [width], device)
-        rate: dict[str, Any] = {"schedule": "fixed" if cfg.desired_kl is None else "adaptive"}
-        rate["desired_kl"] = cfg.desired_kl
+        device = str(env.device)
+        (num_actions,) = env.action_space.shape
+        # rsl_rl reads the sizes of networks and storage from an observation.
+        example = observations(
+            {
+                name: torch.zeros(env.num_envs, *space.shape).to(env.device)
+                for name, space in env.spaces.items()
+            }
+        )
+        obs_groups = {"actor": [GROUP], "critic": list(env.critic_groups)}
+        actor = MLPModel(
+            example,
+            obs_groups,
+            "actor",
+            num_actions,
+            hidden_dims=cfg.hidden_dims,
+            activation=cfg.activation,
+            obs_normalization=cfg.obs_normalization,
+            distribution_cfg={"class_name": "GaussianDistribution", "init_std": cfg.init_std},
+        )
+        critic = MLPModel(
+            example,
+            obs_groups,
+            "critic",
+            1,
+            hidden_dims=cfg.hidden_dims,
+            activation=cfg.activation,
+            obs_normalization=cfg.obs_normalization,
+        )
+        storage = RolloutStorage("rl", env.num_envs, self.steps, example, [num_actions], device)
         self._ppo = PPO(
-            actor.to(device), critic.to(device), storage, device=device, **rate, **cfg.arguments()
+            actor.to(device),
+            critic.to(device),
+            storage,
+            device=device,
+            schedule="fixed" if cfg.desired_kl is None else "adaptive",
+            desired_kl=cfg.desired_kl,
+            **cfg.arguments(),
         )
         self._ppo.train_mode()
 
     def act(self, groups: Groups) -> Tensor:
         """Return actions (N, A), drawn for exploration."""
-        actions: Tensor = self._ppo.act(observations(groups))
-        return actions
+        return self._ppo.act(observations(groups))
 
     def record(self, step: TensorStep) -> None:
         """Store what the last actions led to."""
@@ -157,14 +182,14 @@ class RslRlPpo:
         """Learn from the stored steps; `groups` is the current observation."""
         with torch.no_grad():
             self._ppo.compute_returns(observations(groups))
-        losses = {f"{name}_loss": value for name, value in self._ppo.update().items()}
-        std = float(self._ppo.actor.output_std.detach().mean())
-        return losses | {"learning_rate": self._ppo.learning_rate, "std": std}
+        numbers = {f"{name}_loss": value for name, value in self._ppo.update().items()}
+        numbers["learning_rate"] = self._ppo.learning_rate
+        numbers["std"] = float(self._ppo.actor.output_std.detach().mean())
+        return numbers
 
     def actor(self) -> torch.nn.Module:
         """Return a copy of the network: observations (N, K) -> mean actions (N, A)."""
-        module: torch.nn.Module = self._ppo.actor.as_jit()
-        return module
+        return self._ppo.actor.as_jit()
 
     def parameters(self) -> list[Tensor]:
         """Return the parameters of actor and critic."""
@@ -172,8 +197,7 @@ class RslRlPpo:
 
     def state_dict(self) -> dict[str, Any]:
         """Return networks, normalization and optimizer as plain values."""
-        saved: dict[str, Any] = self._ppo.save()
-        return saved
+        return self._ppo.save()
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from a `state_dict`."""

@@ -58,7 +58,9 @@ class SkrlEnv(Wrapper, gym.Env[Any, Any]):  # type: ignore[misc]
         Wrapper.__init__(self, env)
         self.tensors = TensorEnv(env, critic_groups)
         # Gymnasium's class has its own of these, so that skrl would not look for them in `env`.
-        self.metadata, self.render_mode, self.spec = env.metadata, env.render_mode, env.spec
+        self.metadata = env.metadata
+        self.render_mode = env.render_mode
+        self.spec = env.spec
         self._groups: Groups = {}
 
     @property
@@ -97,11 +99,18 @@ class SkrlEnv(Wrapper, gym.Env[Any, Any]):  # type: ignore[misc]
         Args:
             actions: (N, A) in [-1, 1]; of a single environment (A,) too, as `wrap_env` gives them.
         """
-        given = torch.as_tensor(actions, dtype=torch.float32, device=self.device)
-        step = self.tensors.step(given[None] if given.ndim == 1 and self.num_envs == 1 else given)
+        batch = torch.as_tensor(actions, dtype=torch.float32, device=self.device)
+        if batch.ndim == 1 and self.num_envs == 1:
+            batch = batch[None]
+        step = self.tensors.step(batch)
         self._groups = step.groups
-        flags = step.terminated[:, None], step.time_out[:, None]
-        return step.groups[GROUP], step.reward[:, None], *flags, step.info
+        return (
+            step.groups[GROUP],
+            step.reward[:, None],
+            step.terminated[:, None],
+            step.time_out[:, None],
+            step.info,
+        )
 
     def state(self) -> Tensor | None:
         """Return the critic's groups (N, S) of the current observation; None if it has none."""
@@ -140,50 +149,49 @@ class SkrlPpo:
     """
 
     def __init__(self, cfg: SkrlPpoCfg, env: TensorEnv) -> None:
-        self._env, device = env, env.device
+        self._env = env
         self.steps = cfg.rollouts or PUBLISHED_STEPS
         self._bootstraps = cfg.time_limit_bootstrap
-        about: dict[str, Any] = {"observation_space": env.spaces[GROUP], "device": device}
-        about |= {"state_space": state_space(env), "action_space": env.action_space}
-        self._policy = _Policy(cfg, about)
-        models = {"policy": self._policy, "value": _Value(cfg, about)}
-        memory = RandomMemory(memory_size=self.steps, num_envs=env.num_envs, device=device)
-        keys = {**cfg.arguments(), "rollouts": self.steps}
-        keys["experiment"] = {"write_interval": 0, "checkpoint_interval": 0}
-        if cfg.desired_kl is not None:
-            keys["learning_rate_scheduler"] = KLAdaptiveLR
-            keys["learning_rate_scheduler_kwargs"] = {"kl_threshold": cfg.desired_kl}
-        for name in ("observation", "state") if cfg.obs_normalization else ():
-            space = about[f"{name}_space"]
-            if space is not None:
-                keys[f"{name}_preprocessor"] = RunningStandardScaler
-                keys[f"{name}_preprocessor_kwargs"] = {"size": space, "device": device}
-        self._agent = PPO(models=models, memory=memory, cfg=keys, **about)
+        spaces_and_device: dict[str, Any] = {
+            "observation_space": env.spaces[GROUP],
+            "state_space": state_space(env),
+            "action_space": env.action_space,
+            "device": env.device,
+        }
+        # Policy, then value: the order in which their weights are drawn.
+        self._policy = _Policy(cfg, spaces_and_device)
+        value = _Value(cfg, spaces_and_device)
+        self._agent = PPO(
+            models={"policy": self._policy, "value": value},
+            memory=RandomMemory(memory_size=self.steps, num_envs=env.num_envs, device=env.device),
+            cfg=_agent_cfg(cfg, env, self.steps),
+            **spaces_and_device,
+        )
         self._agent.init()
         self._agent.enable_training_mode(True)
-        self._seen: Groups = {}
+        self._last_groups: Groups = {}
         self._actions = torch.zeros(0)
 
     def act(self, groups: Groups) -> Tensor:
         """Return actions (N, A), drawn for exploration."""
-        self._seen = groups
-        inputs = groups[GROUP], state_of(self._env, groups)
-        self._actions, _ = self._agent.act(*inputs, timestep=0, timesteps=0)
+        self._last_groups = groups
+        state = state_of(self._env, groups)
+        self._actions, _ = self._agent.act(groups[GROUP], state, timestep=0, timesteps=0)
         return self._actions
 
     def record(self, step: TensorStep) -> None:
         """Store what the last actions led to."""
         # Without a value at the limit, an episode that is cut off ends there: skrl's returns would
         # go on into the next episode, as they only stop where one terminated.
-        ended = step.terminated if self._bootstraps else step.done
+        terminated = step.terminated if self._bootstraps else step.done
         self._agent.record_transition(
-            observations=self._seen[GROUP],
-            states=state_of(self._env, self._seen),
+            observations=self._last_groups[GROUP],
+            states=state_of(self._env, self._last_groups),
             actions=self._actions,
             rewards=step.reward[:, None].clone(),  # skrl adds the value of what was cut off to it
             next_observations=step.final[GROUP],
             next_states=state_of(self._env, step.final),
-            terminated=ended[:, None],
+            terminated=terminated[:, None],
             truncated=step.time_out[:, None],
             infos=step.info,
             timestep=0,
@@ -196,45 +204,71 @@ class SkrlPpo:
         agent.enable_models_training_mode(True)
         agent.update(timestep=0, timesteps=0)
         agent.enable_models_training_mode(False)
-        found = {_column(name): float(values[-1]) for name, values in agent.tracking_data.items()}
+        numbers: dict[str, float] = {}
+        for name, values in agent.tracking_data.items():
+            numbers[_column(name)] = float(values[-1])
         agent.tracking_data.clear()
-        return found
+        return numbers
 
     def actor(self) -> nn.Module:
         """Return a copy of the network: observations (N, K) -> mean actions (N, A)."""
-        parts = [self._policy.net]
         scaler = self._agent.checkpoint_modules.get("observation_preprocessor")
-        return copy.deepcopy(nn.Sequential(*([] if scaler is None else [scaler]), *parts))
+        if scaler is None:
+            return copy.deepcopy(nn.Sequential(self._policy.net))
+        return copy.deepcopy(nn.Sequential(scaler, self._policy.net))
 
     def parameters(self) -> list[Tensor]:
         """Return the parameters of policy and value."""
-        return [p for model in self._agent.models.values() for p in model.parameters()]
+        parameters: list[Tensor] = []
+        for model in self._agent.models.values():
+            parameters += model.parameters()
+        return parameters
 
     def state_dict(self) -> dict[str, Any]:
         """Return networks, normalization and optimizer as plain values."""
-        return {name: part.state_dict() for name, part in self._agent.checkpoint_modules.items()}
+        modules = self._agent.checkpoint_modules
+        return {name: module.state_dict() for name, module in modules.items()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from a `state_dict`."""
-        for name, part in self._agent.checkpoint_modules.items():
-            part.load_state_dict(saved[name])
+        for name, module in self._agent.checkpoint_modules.items():
+            module.load_state_dict(saved[name])
+
+
+def _agent_cfg(cfg: SkrlPpoCfg, env: TensorEnv, steps: int) -> dict[str, Any]:
+    """Return the settings of skrl's agent: those with its names, then those with rsl_rl's."""
+    agent_cfg: dict[str, Any] = {
+        **cfg.arguments(),
+        "rollouts": steps,
+        "experiment": {"write_interval": 0, "checkpoint_interval": 0},
+    }
+    if cfg.desired_kl is not None:
+        agent_cfg["learning_rate_scheduler"] = KLAdaptiveLR
+        agent_cfg["learning_rate_scheduler_kwargs"] = {"kl_threshold": cfg.desired_kl}
+    if cfg.obs_normalization:
+        for name, space in (("observation", env.spaces[GROUP]), ("state", state_space(env))):
+            if space is None:
+                continue
+            agent_cfg[f"{name}_preprocessor"] = RunningStandardScaler
+            agent_cfg[f"{name}_preprocessor_kwargs"] = {"size": space, "device": env.device}
+    return agent_cfg
 
 
 class _Policy(GaussianMixin, Model):  # type: ignore[misc]
-    def __init__(self, cfg: SkrlPpoCfg, about: dict[str, Any]) -> None:
-        Model.__init__(self, **about)
+    def __init__(self, cfg: SkrlPpoCfg, spaces_and_device: dict[str, Any]) -> None:
+        Model.__init__(self, **spaces_and_device)
         GaussianMixin.__init__(self)
         self.net = _layers(cfg, self.num_observations, self.num_actions)
-        start = torch.full((self.num_actions,), float(np.log(cfg.init_std)))
-        self.log_std = nn.Parameter(start)
+        log_std = torch.full((self.num_actions,), float(np.log(cfg.init_std)))
+        self.log_std = nn.Parameter(log_std)
 
     def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[Tensor, dict[str, Any]]:
         return self.net(inputs["observations"]), {"log_std": self.log_std}
 
 
 class _Value(DeterministicMixin, Model):  # type: ignore[misc]
-    def __init__(self, cfg: SkrlPpoCfg, about: dict[str, Any]) -> None:
-        Model.__init__(self, **about)
+    def __init__(self, cfg: SkrlPpoCfg, spaces_and_device: dict[str, Any]) -> None:
+        Model.__init__(self, **spaces_and_device)
         DeterministicMixin.__init__(self)
         self._key = "observations" if self.state_space is None else "states"
         self.net = _layers(cfg, self.num_states or self.num_observations, 1)
@@ -247,11 +281,14 @@ def _layers(cfg: SkrlPpoCfg, inputs: int, outputs: int) -> nn.Sequential:
     widths = [inputs, *cfg.hidden_dims]
     layers: list[nn.Module] = []
     for before, after in zip(widths, widths[1:], strict=False):
-        layers += [nn.Linear(before, after), _ACTIVATIONS[cfg.activation]()]
+        layers.append(nn.Linear(before, after))
+        layers.append(_ACTIVATIONS[cfg.activation]())
     return nn.Sequential(*layers, nn.Linear(widths[-1], outputs))
 
 
 def _column(name: str) -> str:
-    """``Loss / Policy loss`` as ``policy_loss``; ``std`` and ``learning_rate`` as rsl_rl's."""
+    """Return ``policy_loss`` for ``Loss / Policy loss``; ``std`` has the name that rsl_rl has."""
     column = name.rpartition("/")[2].strip().lower().replace(" ", "_")
-    return "std" if column == "standard_deviation" else column
+    if column == "standard_deviation":
+        return "std"
+    return column

@@ -29,6 +29,8 @@ __all__ = ["GROUP", "EpisodeRecorder", "Groups", "TensorEnv", "TensorStep", "to_
 GROUP = "policy"
 """The observation group of the actor."""
 _FLAGS = ("success", *filter(None, ENDS.values()))
+"""Entries of the info that say how an episode ended."""
+_TERMINATION = "Episode_Termination"
 
 Groups = dict[str, Tensor]
 
@@ -96,11 +98,14 @@ class TensorEnv:
         require_torch_batch(env, type(self).__name__)
         self.env = env
         self.base = cast("BaseEnv", env.unwrapped)
-        self.num_envs, self.action_scale = self.base.num_envs, action_scale
+        self.num_envs = self.base.num_envs
+        self.action_scale = action_scale
         self.device: torch.device = self.base.device
         self.critic_groups = tuple(critic_groups) or (GROUP,)
-        names = dict.fromkeys((GROUP, *self.critic_groups))
-        self.spaces: dict[str, spaces.Box] = {n: observation_box(self.base, n) for n in names}
+        self.spaces: dict[str, spaces.Box] = {
+            group: observation_box(self.base, group)
+            for group in dict.fromkeys((GROUP, *self.critic_groups))
+        }
         self.action_space = ActionScale(self.base.single_action_space).space
         space: Any = self.base.single_action_space
         self.low = torch.as_tensor(space.low, dtype=torch.float32, device=self.device)
@@ -128,15 +133,20 @@ class TensorEnv:
         Raises:
             ValueError: If the shape is wrong, or on the CPU if an action is not finite.
         """
-        begun = time.perf_counter()
+        start = time.perf_counter()
         scaled = to_bounds(actions * self.action_scale, self.low, self.high)
         obs, reward, terminated, truncated, info = self.env.step(scaled)
         groups = self.groups(obs)
         final = self.groups(info["final_obs"]) if "final_obs" in info else groups
         time_out = cast(Tensor, truncated) & ~cast(Tensor, terminated)
-        self.step_seconds += time.perf_counter() - begun
+        self.step_seconds += time.perf_counter() - start
         return TensorStep(
-            groups, final, cast(Tensor, reward), cast(Tensor, terminated), time_out, info
+            groups=groups,
+            final=final,
+            reward=cast(Tensor, reward),
+            terminated=cast(Tensor, terminated),
+            time_out=time_out,
+            info=info,
         )
 
 
@@ -145,11 +155,13 @@ def to_bounds(actions: Tensor, low: Tensor, high: Tensor) -> Tensor:
 
     Columns with infinite bounds stay as they are.
     """
-    free = torch.isinf(low)
-    clipped = torch.where(free, 0.0, actions).clamp(-1.0, 1.0)
-    low, high = torch.where(free, -1.0, low), torch.where(free, 1.0, high)
+    is_unbounded = torch.isinf(low)
+    # Finite numbers in place of infinite ones, whose results are not used: 0 * inf is NaN.
+    clipped = torch.where(is_unbounded, 0.0, actions).clamp(-1.0, 1.0)
+    low = torch.where(is_unbounded, -1.0, low)
+    high = torch.where(is_unbounded, 1.0, high)
     scaled = 0.5 * ((1.0 - clipped) * low + (1.0 + clipped) * high)
-    return torch.where(free, actions, scaled)
+    return torch.where(is_unbounded, actions, scaled)
 
 
 class EpisodeRecorder:
@@ -172,35 +184,42 @@ class EpisodeRecorder:
         """Keep the numbers of one control step."""
         done = step.done
         returns = self.returns + step.reward
-        values = {"done": done, "return": returns, "length": step.info["elapsed_steps"]}
-        values |= {name: step.info[name] for name in _FLAGS}
-        values |= _below("Episode_Reward", step.info["episode_sums"])
-        values |= _below("Episode_Metrics", step.info["metrics"])
-        values |= _below("Episode_Termination", self._base.termination_manager.values)
+        values = {
+            "done": done,
+            "return": returns,
+            "length": step.info["elapsed_steps"],
+            **{name: step.info[name] for name in _FLAGS},
+            **_add_prefix("Episode_Reward", step.info["episode_sums"]),
+            **_add_prefix("Episode_Metrics", step.info["metrics"]),
+            **_add_prefix(_TERMINATION, self._base.termination_manager.values),
+        }
         self._names = list(values)
-        self._rows.append(torch.stack([v.to(torch.float32) for v in values.values()]))
+        self._rows.append(torch.stack([value.to(torch.float32) for value in values.values()]))
         self.returns = returns.masked_fill(done, 0.0)
 
     def finish(self) -> dict[str, NDArray[np.float32]]:
-        """Return and forget what was kept: name -> (E,) values of the episodes that ended.
+        """Return and forget the recorded episodes: name -> (E,) values of those that ended.
 
         ``return``, ``length`` and ``success`` (for tasks that have a success), then the columns of
         `progress.csv`, see `train_logs.log_episode`.
         """
         table = torch.stack(self._rows).numpy(force=True)  # (T, values, N)
         self._rows.clear()
-        ended = table[:, 0] > 0
-        found = {name: table[:, i][ended] for i, name in enumerate(self._names)}
-        flags = {name: found.pop(key) > 0 for name, key in ENDS.items() if key}
+        is_done = table[:, self._names.index("done")] > 0
+        episodes = {name: table[:, i][is_done] for i, name in enumerate(self._names)}
+        del episodes["done"]
+        flags = {cause: episodes.pop(key) > 0 for cause, key in ENDS.items() if key}
         if not self._base.judges_success:
-            del found["success"]
-        kinds = np.select(list(flags.values()), list(flags), "time_out")
-        for name in [n for n in found if n.startswith("Episode_Termination/")]:
-            found[name] *= ~flags["diverged"]
-        causes = {f"Episode_Termination/{k}": (kinds == k).astype(np.float32) for k in ENDS}
-        del found["done"]
-        return found | causes
+            del episodes["success"]
+        for name, values in episodes.items():
+            if name.startswith(f"{_TERMINATION}/"):
+                values *= ~flags["diverged"]
+        # Last, as a cause takes the place of a termination term with its name.
+        causes = np.select(list(flags.values()), list(flags), "time_out")
+        for cause in ENDS:
+            episodes[f"{_TERMINATION}/{cause}"] = (causes == cause).astype(np.float32)
+        return episodes
 
 
-def _below(prefix: str, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def _add_prefix(prefix: str, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {f"{prefix}/{name}": value for name, value in values.items()}

@@ -1,6 +1,6 @@
-"""Whether networks and losses are finite; a training whose are not ends, and says so.
+"""Check that networks and losses are finite; a training in which some are not ends with an error.
 
-It is looked at after each update, before a checkpoint could be written.
+The check is made after each update, before a checkpoint could be written.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from embodichain.utils.errors import EmbodichainError
 
 __all__ = ["Learning", "NotFiniteError", "check_finite", "refused_by_torch", "told_apart"]
 
-_LARGEST = 1e18
+_LARGEST_WEIGHT = 1e18
 """Products of larger numbers are beyond float32."""
-_TORCH_SAYS = "Expected parameter"
-"""Begin of the message of torch's distributions about parameters that are not finite."""
+_TORCH_MESSAGE = "Expected parameter"
+"""Beginning of the message of torch's distributions about parameters that are not finite."""
 
 
 class NotFiniteError(EmbodichainError):
@@ -59,13 +59,18 @@ def check_finite(training: Learning) -> None:
     largest = _largest([p.detach() for p in training.parameters()])
     if not math.isfinite(largest):
         raise NotFiniteError(f"the networks are not finite {_when(training)}")
-    if largest > _LARGEST:
-        weights = f"the networks have weights of {largest:.1g}, what they give is not finite"
-        raise NotFiniteError(f"{weights} {_when(training)}")
-    wrong = [name for name, value in training.losses().items() if _is_wrong(name, value)]
-    if wrong:
-        verb = "is" if len(wrong) == 1 else "are"
-        raise NotFiniteError(f"{', '.join(wrong)} {verb} not finite {_when(training)}")
+    if largest > _LARGEST_WEIGHT:
+        message = f"the networks have weights of {largest:.1g}, what they give is not finite"
+        raise NotFiniteError(f"{message} {_when(training)}")
+    infinite_losses = [
+        name
+        for name, value in training.losses().items()
+        if name.endswith("loss") and not math.isfinite(float(value))
+    ]
+    if infinite_losses:
+        verb = "is" if len(infinite_losses) == 1 else "are"
+        names = ", ".join(infinite_losses)
+        raise NotFiniteError(f"{names} {verb} not finite {_when(training)}")
 
 
 @contextmanager
@@ -82,8 +87,8 @@ def told_apart(training: Learning) -> Iterator[None]:
     except (ValueError, RuntimeError) as error:
         try:
             check_finite(training)
-        except NotFiniteError as found:
-            raise found from error
+        except NotFiniteError as reason:
+            raise reason from error
         if refused_by_torch(error):
             message = f"what the networks give is not finite {_when(training)}"
             raise NotFiniteError(message) from error
@@ -92,7 +97,7 @@ def told_apart(training: Learning) -> Iterator[None]:
 
 def refused_by_torch(error: Exception) -> bool:
     """Whether an error is that of a distribution of torch about a mean or a spread that is NaN."""
-    return isinstance(error, ValueError) and str(error).startswith(_TORCH_SAYS)
+    return isinstance(error, ValueError) and str(error).startswith(_TORCH_MESSAGE)
 
 
 def _when(training: Learning) -> str:
@@ -100,18 +105,14 @@ def _when(training: Learning) -> str:
     return f"in update {training.updates:,}, after {steps:,} environment steps"
 
 
-def _is_wrong(name: str, value: Any) -> bool:
-    return name.endswith("loss") and not math.isfinite(float(value))
-
-
 def _largest(tensors: list[Tensor]) -> float:
-    """An upper limit of the absolute values, exact above `_LARGEST`; NaN if there is one."""
+    """Return a limit of the absolute values, exact above `_LARGEST_WEIGHT`; NaN if there is one."""
     tensors = [tensor for tensor in tensors if tensor.numel()]
     if not tensors:
         return 0.0
-    # Norms are a hundred times as fast as the largest values, which no norm is below.
+    # Norms are a hundred times as fast as the largest values, and never below them.
     norms = torch._foreach_norm(tensors)
-    limit = float(torch.stack([norm.float() for norm in norms]).max())
-    if limit <= _LARGEST:
-        return limit
+    largest_norm = float(torch.stack([norm.float() for norm in norms]).max())
+    if largest_norm <= _LARGEST_WEIGHT:
+        return largest_norm
     return float(torch.stack([tensor.abs().max().float() for tensor in tensors]).max())

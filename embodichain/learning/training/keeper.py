@@ -75,7 +75,8 @@ class CheckpointKeeper:
         self._folder = session.run_dir / CHECKPOINTS
         self._session = session
         self._note = note
-        self._every, self._keep = every, keep
+        self._every = every
+        self._keep = keep
         self._written = sorted(self._folder.glob("step_*.zip"))  # a job may continue in its folder
 
     @property
@@ -102,13 +103,17 @@ class CheckpointKeeper:
         note = read_note(best)
         if _SCORE in note:  # later than the state if the process was killed between the two
             success, mean_return = note[_SCORE]
-            found = int(note["env_steps"]), (float(success), float(mean_return))
-            if statistics.best is None or found[1] > statistics.best[1]:
-                statistics.best = found
+            score = (float(success), float(mean_return))
+            if statistics.best is None or score > statistics.best[1]:
+                statistics.best = (int(note["env_steps"]), score)
         if self._folder.resolve() != best.parent.resolve():
-            self._folder.mkdir(parents=True, exist_ok=True)
-            beside = [of(best) for of in (statistics_path, stage_path)]
-            for path in (*(path for path in beside if path.is_file()), best):  # the zip last
+            self._copy_best(best)
+
+    def _copy_best(self, best: Path) -> None:
+        """Copy the best checkpoint of another folder, and the files beside it."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        for path in (statistics_path(best), stage_path(best), best):  # the zip last
+            if path.is_file():
                 with atomic_file(self._folder / path.name) as copy:
                     shutil.copyfile(path, copy)
 
@@ -119,17 +124,18 @@ class CheckpointKeeper:
             NotFiniteError: The networks are not finite; nothing is written then.
         """
         check_finite(self._session)
-        steps, statistics = self._session.env_steps, self._session.statistics
+        steps = self._session.env_steps
+        statistics = self._session.statistics
         if statistics.next_checkpoint is None:  # the first rollout
             statistics.next_checkpoint = steps + self._every
         if steps < statistics.next_checkpoint:
             return
         statistics.next_checkpoint = steps + self._every
-        self._judge()
+        self._write_if_best()
         if self._keep == 0:
             return
         path = self._folder / _STEP.format(steps)
-        if path in self._written:  # one without a state was passed over
+        if path in self._written:  # a resume skips a checkpoint without a state
             self._written.remove(path)
         self._write(path.name, resumable=True)
         self._written.append(path)
@@ -139,8 +145,8 @@ class CheckpointKeeper:
     def final(self, *, finished: bool, resumable: bool) -> str:
         """Write the final checkpoint.
 
-        It may be the best one only if the training is finished. An interruption is no moment at
-        which an uninterrupted training would be judged: resumed, both have the same best.
+        It may be the best one only if the training is finished. An uninterrupted training would not
+        be judged at the moment of an interruption: so both have the same best after a resume.
 
         Args:
             finished: Whether all steps were taken.
@@ -154,17 +160,19 @@ class CheckpointKeeper:
         """
         check_finite(self._session)
         if finished:
-            self._judge()
+            self._write_if_best()
         # An interrupted training has begun its next rollout.
         self._write(FINAL, resumable=resumable, rolling=not finished)
         return f"{CHECKPOINTS}/{FINAL}"
 
-    def _judge(self) -> None:
+    def _write_if_best(self) -> None:
         """Write the best checkpoint if the current model has the best score."""
-        statistics, steps = self._session.statistics, self._session.env_steps
+        statistics = self._session.statistics
         score = statistics.score
-        if score is not None and (statistics.best is None or score > statistics.best[1]):
-            statistics.best = steps, score
+        if score is None:
+            return
+        if statistics.best is None or score > statistics.best[1]:
+            statistics.best = (self._session.env_steps, score)
             self._write(BEST, resumable=False, more={_SCORE: list(score)})
 
     def _write(
@@ -187,16 +195,18 @@ def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:
     A zip is skipped if its state is missing or of another step (the process was killed in between).
 
     Raises:
-        ConfigError: If there is none; lists the paths that were tried.
+        ConfigError: If there is none.
     """
     folder = run / CHECKPOINTS
     paths = [*folder.glob("step_*.zip"), *folder.glob(FINAL)]
     steps = {path: int(read_note(path).get("env_steps", -1)) for path in paths}
-    for path in sorted(paths, key=lambda p: (steps[p], p.name == FINAL), reverse=True):
-        if state_path(path).is_file():
-            state = read_tree(state_path(path))
-            if state.get("env_steps") == steps[path]:
-                return path, state
+    newest_first = sorted(paths, key=lambda p: (steps[p], p.name == FINAL), reverse=True)
+    for path in newest_first:
+        if not state_path(path).is_file():
+            continue
+        state = read_tree(state_path(path))
+        if state.get("env_steps") == steps[path]:
+            return path, state
     message = f"{run} has no checkpoint that a training can continue from"
     raise ConfigError([Problem("resume", message)])
 
@@ -207,9 +217,12 @@ def state_path(checkpoint: Path) -> Path:
 
 
 def _remove(checkpoint: Path) -> None:
-    beside = (state_path, statistics_path, buffer_path, stage_path)
-    for path in (checkpoint, *(of(checkpoint) for of in beside)):
-        path.unlink(missing_ok=True)
+    """Delete a checkpoint and the files beside it."""
+    checkpoint.unlink(missing_ok=True)
+    state_path(checkpoint).unlink(missing_ok=True)
+    statistics_path(checkpoint).unlink(missing_ok=True)
+    buffer_path(checkpoint).unlink(missing_ok=True)
+    stage_path(checkpoint).unlink(missing_ok=True)
 
 
 class WriteError(EmbodichainError):
@@ -229,11 +242,11 @@ def telling_where(run_dir: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        why = f"{run_dir} could not be written: {error.strerror or error}"
-        raise WriteError(f"{why}; {_what_remains(run_dir)}") from error
+        message = f"{run_dir} could not be written: {error.strerror or error}"
+        raise WriteError(f"{message}; {_how_to_resume(run_dir)}") from error
 
 
-def _what_remains(run_dir: Path) -> str:
+def _how_to_resume(run_dir: Path) -> str:
     try:
         checkpoint, _ = find_resumable(run_dir)
     except (ConfigError, OSError):

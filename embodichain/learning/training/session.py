@@ -93,8 +93,7 @@ class Session:
     @property
     def env_steps(self) -> int:
         """Environment steps taken, summed over environments."""
-        steps: int = self.model.num_timesteps
-        return steps
+        return self.model.num_timesteps
 
     @property
     def updates(self) -> int:
@@ -102,9 +101,9 @@ class Session:
         model = self.model
         if isinstance(model, OnPolicyAlgorithm):
             return model.num_timesteps // (model.n_steps * model.n_envs)
-        # Of an update that did not end the model does not count the steps.
-        begun = self._watch is not None and self._watch.updating
-        return int(getattr(model, "_n_updates", 0)) + begun
+        # The model does not count the steps of an update that did not end.
+        is_updating = self._watch is not None and self._watch.updating
+        return int(getattr(model, "_n_updates", 0)) + is_updating
 
     def parameters(self) -> Iterator[Tensor]:
         """Parameters of the networks, and of SAC's temperature."""
@@ -115,9 +114,12 @@ class Session:
 
     def losses(self) -> dict[str, Any]:
         """What the last update logged."""
-        found = self.model.logger.name_to_value
         prefix = "train/"
-        return {k.removeprefix(prefix): v for k, v in found.items() if k.startswith(prefix)}
+        return {
+            name.removeprefix(prefix): value
+            for name, value in self.model.logger.name_to_value.items()
+            if name.startswith(prefix)
+        }
 
     def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
         """Restore a new model to the state of a checkpoint.
@@ -167,25 +169,35 @@ class Session:
         Raises:
             NotFiniteError: The networks or the losses are not finite.
         """
-        model, total = self.model, self.statistics.total_timesteps
+        model = self.model
+        total = self.statistics.total_timesteps
 
         def boundary() -> None:
             self._restore_exploration()
             on_boundary()
 
-        judged = isinstance(model, BehaviorCloning)
-        watch = _Watch(self.vec_env, self.statistics, progress, boundary, judged=judged)
+        watch = _Watch(
+            env=self.vec_env,
+            statistics=self.statistics,
+            progress=progress,
+            on_boundary=boundary,
+            judges=isinstance(model, BehaviorCloning),
+        )
         self._watch = watch
         if isinstance(model, BehaviorCloning):
             self.vec_env.base.hold_curriculum()  # its environments judge at the first stage
             model.after_row = watch.boundary
-        every = rows_apart(model, total)
-        logger = make_logger(self.run_dir, self.writers, model.num_timesteps, every)
+        logger = make_logger(
+            self.run_dir,
+            self.writers,
+            env_steps=model.num_timesteps,
+            every=rows_apart(model, total),
+        )
         if self._logged is not None:
             logger.load_state_dict(self._logged)
         self._logger = logger
         model.set_logger(logger)
-        interval, new = log_interval(model), self._restored is None
+        is_new = self._restored is None
         if self._restored is not None:
             restore_generators(model, self._restored)
         self.statistics.begin()
@@ -193,7 +205,12 @@ class Session:
             remaining = total - model.num_timesteps
             if remaining > 0:  # else only its results were not written
                 with told_apart(self):
-                    model.learn(remaining, watch, log_interval=interval, reset_num_timesteps=new)
+                    model.learn(
+                        remaining,
+                        watch,
+                        log_interval=log_interval(model),
+                        reset_num_timesteps=is_new,
+                    )
         except KeyboardInterrupt as error:
             return error, error is watch.stopped
         finally:
@@ -204,71 +221,75 @@ class Session:
 
     def save(self, path: Path, note: dict[str, Any], *, resumable: bool, rolling: bool) -> None:
         """Write a checkpoint, see `keeper.Saved`."""
-        model, steps = self.model, self.env_steps
-        normalizer = model.get_vec_normalize_env()
+        normalizer = self.model.get_vec_normalize_env()
         if normalizer is not None:
             save_statistics(statistics_path(path), normalizer)
         if resumable:
             if self._buffer is not None:
-                save_buffer(buffer_path(path), self._buffer, steps)
-            state: dict[str, Any] = {"env_steps": steps, "replay_buffer": self._buffer is not None}
-            state["training"] = capture(model, self.vec_env, rolling=rolling)
-            state["statistics"] = self.statistics.state_dict()
-            state["logged"] = self._logger.state_dict()
+                save_buffer(buffer_path(path), self._buffer, self.env_steps)
+            state = {
+                "env_steps": self.env_steps,
+                "replay_buffer": self._buffer is not None,
+                "training": capture(self.model, self.vec_env, rolling=rolling),
+                "statistics": self.statistics.state_dict(),
+                "logged": self._logger.state_dict(),
+            }
             write_tree(state_path(path), state)
         save_stage(path, self.vec_env.base)
-        save_checkpoint(model, path, note)
+        save_checkpoint(self.model, path, note)
 
     def _restore_exploration(self) -> None:
         """Restore, once, the exploration that the first rollout after a resume drew anew."""
-        saved, self._restored = self._restored, None
-        if saved is not None:
-            restore_exploration(self.model, saved)
-        if saved is not None and saved["exploration"]:
+        saved = self._restored
+        self._restored = None
+        if saved is None:
+            return
+        restore_exploration(self.model, saved)
+        if saved["exploration"]:
             restore_generators(self.model, saved)
 
 
 class _Watch(BaseCallback):
     """Counts steps and episodes; calls `on_boundary` between an update and the next rollout.
 
-    With `judged`, a rollout evaluates the updates before it: `boundary` is to be called between
+    With `judges`, a rollout evaluates the updates before it: `boundary` is to be called between
     the rollout and the next update instead.
     """
 
     def __init__(
         self,
+        *,
         env: SB3VecEnv,
         statistics: TrainStatistics,
         progress: Progress | None,
         on_boundary: Callable[[], None],
-        *,
-        judged: bool,
+        judges: bool,
     ) -> None:
         super().__init__()
-        # The exception that `progress` raised to stop the training.
         self.stopped: KeyboardInterrupt | None = None
-        # Whether a rollout has ended and its update has not.
+        """The exception that `progress` raised to stop the training."""
         self.updating = False
+        """Whether a rollout has ended and its update has not."""
         self._env = env
         self._split = TimeSplit()
         self._statistics = statistics
         self._progress = progress
         self._on_boundary = on_boundary
-        self._judged = judged
+        self._judges = judges
 
     def boundary(self) -> None:
-        """Called between an update and the next rollout: calls `on_boundary`, and stops."""
+        """Call `on_boundary`, and stop if told to; called between an update and a rollout."""
         self.updating = False
         self._on_boundary()
         if self.stopped is not None:
             raise self.stopped
 
     def _on_training_start(self) -> None:
-        if self._judged:
+        if self._judges:
             self._on_boundary()
 
     def _on_rollout_start(self) -> None:
-        if not self._judged:
+        if not self._judges:
             self.boundary()
         self._split.rollout_begins(self._env)
 
@@ -296,7 +317,7 @@ class _Watch(BaseCallback):
             self.logger.record(f"Curriculum/{name}", value)
 
     def end(self) -> None:
-        """Called when learning ended, normally or not: counts the time since the last rollout."""
+        """Count the time since the last rollout; called when learning ended, normally or not."""
         self.updating = False
         self._split.end()
         self._statistics.fractions = self._split.fractions
@@ -311,38 +332,42 @@ class TimeSplit:
 
     def __init__(self) -> None:
         self.seconds = dict.fromkeys(PARTS, 0.0)
-        self._mark: float | None = None
-        self._before = (0.0, 0.0)
+        self._last_call: float | None = None
+        # Counters of the environment at the beginning of the rollout.
+        self._physics_before = 0.0
+        self._steps_before = 0.0
 
     @property
     def fractions(self) -> dict[str, float]:
         """Share of each part in the total, 0 to 1; empty before the end of the first rollout."""
         total = sum(self.seconds.values())
-        return {name: value / total for name, value in self.seconds.items()} if total > 0 else {}
+        if total <= 0:
+            return {}
+        return {name: value / total for name, value in self.seconds.items()}
 
     def rollout_begins(self, env: SB3VecEnv | TensorEnv) -> None:
         """Count the time since the last rollout as the update's."""
         self.end()
-        self._before = _spent(env)
+        self._physics_before = env.base.sim.physics_seconds
+        self._steps_before = env.step_seconds
 
     def rollout_ends(self, env: SB3VecEnv | TensorEnv) -> None:
         """Count the time of a rollout that ended; the algorithm's update begins."""
-        whole = self._lap()
-        physics, steps = (
-            now - before for now, before in zip(_spent(env), self._before, strict=True)
-        )
-        for part, seconds in zip(PARTS, (physics, steps - physics, whole - steps), strict=False):
-            self.seconds[part] += seconds
+        rollout = self._lap()
+        physics = env.base.sim.physics_seconds - self._physics_before
+        steps = env.step_seconds - self._steps_before
+        self.seconds["physics"] += physics
+        self.seconds["environment"] += steps - physics
+        self.seconds["policy"] += rollout - steps
 
     def end(self) -> None:
         """Count the time since the last call of any method as the update's."""
         self.seconds["update"] += self._lap()
 
     def _lap(self) -> float:
-        """Seconds since the last call; 0 in the first."""
-        before, self._mark = self._mark, time.perf_counter()
-        return 0.0 if before is None else self._mark - before
-
-
-def _spent(env: SB3VecEnv | TensorEnv) -> tuple[float, float]:
-    return env.base.sim.physics_seconds, env.step_seconds
+        """Return the seconds since the last call; 0 in the first."""
+        previous = self._last_call
+        self._last_call = time.perf_counter()
+        if previous is None:
+            return 0.0
+        return self._last_call - previous

@@ -120,7 +120,7 @@ class TensorAlgorithm:
         if seed is not None:
             set_random_seed(seed)
         learner: Learner = build(self.cfg, env)
-        key = self.cfg.batches_key
+        key = self.cfg.batches_key  # empty for an algorithm whose rollout is one batch
         batches = getattr(self.cfg, key) if key else 1
         steps = learner.steps * env.num_envs
         if batches > steps:
@@ -207,10 +207,15 @@ class TensorSession:
         self, on_boundary: Callable[[], None], progress: Progress | None
     ) -> tuple[KeyboardInterrupt | None, bool]:
         """Learn until all steps are taken or the training is stopped; see `Session.learn`."""
-        statistics, split = self.statistics, TimeSplit()
-        rollout = self.learner.steps * self.vec_env.num_envs
-        every = max(1, statistics.total_timesteps // rollout // MOST_ROWS)
-        logger = make_logger(self.run_dir, self.writers, statistics.env_steps, every)
+        statistics = self.statistics
+        split = TimeSplit()
+        rollout_steps = self.learner.steps * self.vec_env.num_envs
+        logger = make_logger(
+            self.run_dir,
+            self.writers,
+            env_steps=statistics.env_steps,
+            every=max(1, statistics.total_timesteps // rollout_steps // MOST_ROWS),
+        )
         if self._logged is not None:
             logger.load_state_dict(self._logged)
         self._logger = logger
@@ -227,13 +232,13 @@ class TensorSession:
                     return stopped, True
                 split.rollout_begins(self.vec_env)
                 stopped = self._rollout(progress)
-                ended = self._recorder.finish()
+                episodes = self._recorder.finish()
                 split.rollout_ends(self.vec_env)
                 statistics.fractions = split.fractions
                 with told_apart(self):
                     self._losses = self.learner.update(self._groups)
                     check_finite(self)
-                self._log(logger, ended, self._losses)
+                self._log(logger, episodes, self._losses)
                 logger.dump(step=statistics.env_steps)
         except KeyboardInterrupt as error:
             return error, False
@@ -261,14 +266,25 @@ class TensorSession:
                         stopped = error  # after the update, so that nothing is lost
         return stopped
 
-    def _log(self, logger: Logger, ended: dict[str, Any], losses: dict[str, float]) -> None:
+    def _log(self, logger: Logger, episodes: dict[str, Any], losses: dict[str, float]) -> None:
+        """Log a rollout and its update.
+
+        Args:
+            logger: The logger.
+            episodes: Name -> (E,) values of the episodes that ended in the rollout.
+            losses: What the update returned.
+        """
         statistics = self.statistics
-        statistics.extend(ended["return"], ended["length"], ended.get("success"))
-        for name, values in ended.items():
+        statistics.extend(episodes["return"], episodes["length"], episodes.get("success"))
+        for name, values in episodes.items():
             if "/" in name and len(values):
                 logger.record_mean(name, float(values.mean()))
-        means = {"ep_rew_mean": statistics.mean_return, "ep_len_mean": statistics.mean_length}
-        for name, mean in {**means, "success_rate": statistics.success_rate}.items():
+        means = {
+            "ep_rew_mean": statistics.mean_return,
+            "ep_len_mean": statistics.mean_length,
+            "success_rate": statistics.success_rate,
+        }
+        for name, mean in means.items():
             if mean is not None:
                 logger.record(f"rollout/{name}", mean)
         for name, value in losses.items():
@@ -297,13 +313,18 @@ class TensorSession:
                 "returns": self._recorder.returns,
                 "generators": _get_generators(self.vec_env.device),
             }
-            state = {"env_steps": self.env_steps, "replay_buffer": False, "training": training}
-            state["statistics"] = self.statistics.state_dict()
-            state["logged"] = self._logger.state_dict()
+            state = {
+                "env_steps": self.env_steps,
+                "replay_buffer": False,
+                "training": training,
+                "statistics": self.statistics.state_dict(),
+                "logged": self._logger.state_dict(),
+            }
             write_tree(state_path(path), state)
         save_stage(path, self.vec_env.base)
-        low, high = self.vec_env.low.cpu(), self.vec_env.high.cpu()
-        about = PolicyMetadata(
+        low = self.vec_env.low.cpu()
+        high = self.vec_env.high.cpu()
+        metadata = PolicyMetadata(
             task=note["task"],
             algo=note["algo"],
             group=GROUP,
@@ -313,9 +334,10 @@ class TensorSession:
             embodichain=__version__,
             trained_in=note[DIGEST],
         )
-        example = torch.zeros(2, len(about.columns))
-        acting = _Acting(self.learner.actor().cpu(), self.vec_env.action_scale, low, high)
-        save_script(script_bytes(acting, example, about), path, note)
+        example = torch.zeros(2, len(metadata.columns))
+        actor = self.learner.actor().cpu()
+        policy = _Acting(actor, self.vec_env.action_scale, low, high)
+        save_script(script_bytes(policy, example, metadata), path, note)
 
 
 class _Acting(torch.nn.Module):
@@ -326,7 +348,8 @@ class _Acting(torch.nn.Module):
 
     def __init__(self, actor: torch.nn.Module, scale: float, low: Tensor, high: Tensor) -> None:
         super().__init__()
-        self.actor, self.scale = actor, scale
+        self.actor = actor
+        self.scale = scale
         self.register_buffer("low", low)
         self.register_buffer("high", high)
 
@@ -335,12 +358,15 @@ class _Acting(torch.nn.Module):
 
 
 def _get_generators(device: torch.device) -> dict[str, Any]:
-    """The state of the generators that the libraries draw from."""
-    found: dict[str, Any] = {"torch": torch.get_rng_state(), "python": random.getstate()}
-    found["numpy"] = np.random.get_state()  # noqa: NPY002
+    """Return the state of the generators that the libraries draw from."""
+    states: dict[str, Any] = {
+        "torch": torch.get_rng_state(),
+        "python": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002
+    }
     if device.type == "cuda":
-        found["cuda"] = torch.cuda.get_rng_state(device)
-    return found
+        states["cuda"] = torch.cuda.get_rng_state(device)
+    return states
 
 
 def _set_generators(saved: dict[str, Any]) -> None:

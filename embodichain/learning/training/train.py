@@ -64,6 +64,7 @@ DEMONSTRATIONS = "demonstrations"
 """Key of a checkpoint's note with the checksum of the demonstrations."""
 _EVAL_KEYS = {field.name for field in dataclasses.fields(Evaluation)} - {"per_episode"}
 AnyAlgorithm = Algorithm | TensorAlgorithm
+AnyVecEnv = SB3VecEnv | TensorEnv
 _log = logging.getLogger(__name__)
 TORCH_THREADS = 1
 """Threads of torch while learning: one, as networks are small and physics needs the cores."""
@@ -142,7 +143,7 @@ def train(
         NotFiniteError: The networks or the losses of an update are not finite; checkpoints of
             before remain.
     """
-    algorithm = _checked_algorithm(resolved)
+    algorithm = _check_keys(resolved)
     if resolved.root.wandb.mode != "disabled":
         for path, text in env_texts(resolved.tree["wandb"], "wandb"):
             names = " and ".join(text.names)
@@ -152,18 +153,26 @@ def train(
         env.run_dir = run_dir
         if attach is not None:
             attach(env)
-        vec_env = _vec_env(env, algorithm)
-        found = None
+        vec_env = _make_vec_env(env, algorithm)
+        demonstrations = None
         if resolved.root.dataset is not None:
             if episodes is None:
                 raise ConfigError([Problem("dataset", "give its episodes: train(episodes=...)")])
-            found = Demonstrations.of(episodes(env), _sb3(vec_env))
+            demonstrations = Demonstrations.of(episodes(env), _require_sb3(vec_env))
         with (
             _torch_threads(TORCH_THREADS),
             wandb_writers(resolved.root.wandb, run_dir, as_written(resolved.tree)) as writers,
             telling_where(run_dir),
         ):
-            return _learn(resolved, algorithm, vec_env, run_dir, progress, writers, found)
+            return _learn(
+                resolved,
+                algorithm,
+                vec_env,
+                run_dir=run_dir,
+                progress=progress,
+                writers=writers,
+                demonstrations=demonstrations,
+            )
     finally:
         env.close()
 
@@ -180,10 +189,10 @@ def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     """
     summary: dict[str, Any] = json.loads((run_dir / SUMMARY).read_text(encoding="utf-8"))
     summary["eval"] = {name: value for name, value in found.items() if name in _EVAL_KEYS}
-    success, returns = found["success"], found["returns"]
     if found["complete"]:
-        summary["objective"] = success["rate"] if success is not None else returns["mean"]
-    _write(run_dir, summary)
+        success = found["success"]
+        summary["objective"] = found["returns"]["mean"] if success is None else success["rate"]
+    _write_summary(run_dir, summary)
     return summary
 
 
@@ -196,7 +205,7 @@ def check_training(resolved: Resolved) -> None:
     Raises:
         ConfigError: Lists every mistake.
     """
-    _checked_algorithm(resolved)
+    _check_keys(resolved)
 
 
 def check_unfinished(checkpoint: Path, done: int, total: int) -> None:
@@ -212,13 +221,14 @@ def check_unfinished(checkpoint: Path, done: int, total: int) -> None:
     """
     if done < total:
         return
-    if checkpoint.name == FINAL and not _is_summed_up(checkpoint.parent.parent):
+    if checkpoint.name == FINAL and not _has_summary(checkpoint.parent.parent):
         return  # a full disk, or a kill, between the last checkpoint and the summary
     message = f"{checkpoint} has {done} steps already: give more, total_timesteps=N"
     raise ConfigError([Problem("total_timesteps", message)])
 
 
-def _is_summed_up(run_dir: Path) -> bool:
+def _has_summary(run_dir: Path) -> bool:
+    """Whether a training has written its summary."""
     try:
         summary = json.loads((run_dir / SUMMARY).read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):
@@ -236,8 +246,8 @@ def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
     Raises:
         ConfigError: If the task cannot be learned or an argument is wrong.
     """
-    algorithm = _checked_algorithm(resolved)
-    _build(algorithm, _vec_env(env, algorithm), resolved.root.seed)
+    algorithm = _check_keys(resolved)
+    _build(algorithm, _make_vec_env(env, algorithm), resolved.root.seed)
 
 
 def check_episode(resolved: Resolved, env: BaseEnv, episode: Demonstration) -> None:
@@ -251,11 +261,12 @@ def check_episode(resolved: Resolved, env: BaseEnv, episode: Demonstration) -> N
     Raises:
         ConfigError: If the episode's observations or actions are not the task's.
     """
-    Demonstrations.of([episode], _sb3(_vec_env(env, _checked_algorithm(resolved))))
+    vec_env = _make_vec_env(env, _check_keys(resolved))
+    Demonstrations.of([episode], _require_sb3(vec_env))
 
 
-def _vec_env(env: BaseEnv, algorithm: AnyAlgorithm) -> SB3VecEnv | TensorEnv:
-    """The environment as the algorithm's policy takes it."""
+def _make_vec_env(env: BaseEnv, algorithm: AnyAlgorithm) -> AnyVecEnv:
+    """Return the environment as the algorithm's policy takes it."""
     manager = env.observation_manager
     images = manager.image_terms(GROUP) if GROUP in manager.groups else ()
     if images and isinstance(algorithm, TensorAlgorithm):
@@ -281,32 +292,38 @@ def _vec_env(env: BaseEnv, algorithm: AnyAlgorithm) -> SB3VecEnv | TensorEnv:
     return SB3VecEnv(env, GROUP, flatten=algorithm.flat, critic_groups=algorithm.critic_groups)
 
 
-def _sb3(vec_env: SB3VecEnv | TensorEnv) -> SB3VecEnv:
-    """The environment of an algorithm that takes demonstrations."""
+def _require_sb3(vec_env: AnyVecEnv) -> SB3VecEnv:
+    """Return the environment of an algorithm that takes demonstrations."""
     if isinstance(vec_env, TensorEnv):
         raise TypeError("only algorithms of Stable-Baselines3 take demonstrations")
     return vec_env
 
 
-def _build(algorithm: AnyAlgorithm, vec_env: SB3VecEnv | TensorEnv, seed: int | None) -> Any:
-    """Construct the algorithm, a `BaseAlgorithm` or a `Learner`, for the result of `_vec_env`."""
+def _build(algorithm: AnyAlgorithm, vec_env: AnyVecEnv, seed: int | None) -> Any:
+    """Construct the algorithm, a `BaseAlgorithm` or a `Learner`, for its environment."""
     if isinstance(algorithm, TensorAlgorithm):
         if not isinstance(vec_env, TensorEnv):
             raise TypeError(f"{algorithm.name} takes a TensorEnv")
         return algorithm.build(vec_env, seed)
-    return algorithm.build(_sb3(vec_env), seed)
+    return algorithm.build(_require_sb3(vec_env), seed)
 
 
-def _checked_algorithm(resolved: Resolved) -> AnyAlgorithm:
-    """Check the config keys for learning, before building."""
+def _check_keys(resolved: Resolved) -> AnyAlgorithm:
+    """Check the config keys for learning, before building; returns the algorithm."""
     root = resolved.root
-    problems = check_training_keys(root) + check_wandb(root.wandb)
+    problems = check_training_keys(root)
+    problems += check_wandb(root.wandb)
     if root.resume is not None and not Path(root.resume).is_dir():
         problems.append(Problem("resume", f"there is no run folder {root.resume!r}"))
     if root.video and not root.eval.episodes:
         problems.append(Problem("video", "there is no evaluation to film: eval.episodes is 0"))
+    algo_cfg = root.algo or AlgoCfg(name=DEFAULT_ALGORITHM)
+    algorithm: AnyAlgorithm
     try:
-        algorithm = _algorithm(root.algo or AlgoCfg(name=DEFAULT_ALGORITHM))
+        if isinstance(algo_cfg, TensorAlgoCfg):
+            algorithm = TensorAlgorithm.of(algo_cfg)
+        else:
+            algorithm = Algorithm.of(algo_cfg)
     except ConfigError as error:
         raise ConfigError([*problems, *error.problems]) from error
     if root.checkpoint.replay_buffer and not algorithm.has_replay_buffer:
@@ -318,20 +335,18 @@ def _checked_algorithm(resolved: Resolved) -> AnyAlgorithm:
     return algorithm
 
 
-def _algorithm(cfg: AlgoCfg | TensorAlgoCfg) -> AnyAlgorithm:
-    return TensorAlgorithm.of(cfg) if isinstance(cfg, TensorAlgoCfg) else Algorithm.of(cfg)
-
-
 def _check_dataset(root: RootCfg) -> list[Problem]:
     """Check that there are demonstrations if the algorithm needs them, and only if it takes any."""
     algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
     use = LEARNERS[algo].demonstrations
     if root.dataset is None:
+        if use != "only":
+            return []
         message = f"{algo} learns from demonstrations: dataset=FOLDER of `embodichain collect`, "
-        return [Problem("dataset", f"{message}or a log")] if use == "only" else []
+        return [Problem("dataset", f"{message}or a log")]
     if use == "none":
         takers = [name for name, entry in LEARNERS.items() if entry.demonstrations != "none"]
-        message = f"{algo} learns from its own steps alone; what takes demonstrations: "
+        message = f"{algo} learns from its own steps alone; these take demonstrations: "
         return [Problem("dataset", message + ", ".join(takers))]
     paths = [root.dataset] if isinstance(root.dataset, str) else root.dataset
     missing = [path for path in paths if not Path(path).exists()]
@@ -341,108 +356,132 @@ def _check_dataset(root: RootCfg) -> list[Problem]:
 def _learn(
     resolved: Resolved,
     algorithm: AnyAlgorithm,
-    vec_env: SB3VecEnv | TensorEnv,
+    vec_env: AnyVecEnv,
+    *,
     run_dir: Path,
     progress: Progress | None,
     writers: tuple[KVWriter, ...],
     demonstrations: Demonstrations | None,
 ) -> TrainSummary:
-    root, task = resolved.root, resolved.task_name
-    total, seed = root.total_timesteps or 0, root.seed or 0
-    found = None if root.resume is None else find_resumable(Path(root.resume))
-    if found is not None:
-        check_unfinished(found[0], found[1]["env_steps"], total)
-        before = read_digest(read_note(found[0]), found[0])
-        check_unchanged(str(found[0]), before, vec_env.base, GROUP, allow=root.allow_changed)
-    digest = TaskDigest.of(vec_env.base, GROUP)
-    model, every = _build(algorithm, vec_env, seed), _between_checkpoints(root)
-    note: dict[str, Any] = {"algo": algorithm.name, "group": GROUP, "task": task}
-    note[DIGEST] = digest.to_json()
+    root = resolved.root
+    total = root.total_timesteps or 0
+    seed = root.seed or 0
+    resumed_from: Path | None = None
+    state: dict[str, Any] = {}
+    if root.resume is not None:
+        resumed_from, state = find_resumable(Path(root.resume))
+        check_unfinished(resumed_from, state["env_steps"], total)
+        trained_in = read_digest(read_note(resumed_from), resumed_from)
+        check_unchanged(
+            str(resumed_from), trained_in, vec_env.base, GROUP, allow=root.allow_changed
+        )
+    note: dict[str, Any] = {
+        "algo": algorithm.name,
+        "group": GROUP,
+        "task": resolved.task_name,
+        DIGEST: TaskDigest.of(vec_env.base, GROUP).to_json(),
+    }
+    model = _build(algorithm, vec_env, seed)
+    checkpoint_every = root.checkpoint.every_steps or max(1, total // 10)
     if demonstrations is not None and isinstance(model, BaseAlgorithm):
         note[DEMONSTRATIONS] = demonstrations.checksum
-        if found is not None:
-            _check_same(note, found[0])
-        _give(demonstrations, model, every)
+        if resumed_from is not None:
+            _check_same_demonstrations(note, resumed_from)
+        _use_demonstrations(demonstrations, model, checkpoint_every)
+
     # An evaluation while cloning is one episode in each environment.
     window = vec_env.num_envs if algorithm.is_cloning else EPISODE_WINDOW
     statistics = TrainStatistics(total, window)
     session: Session | TensorSession
     if isinstance(vec_env, TensorEnv):
-        session = TensorSession(model, vec_env, statistics, run_dir, writers, seed)
+        session = TensorSession(
+            learner=model,
+            vec_env=vec_env,
+            statistics=statistics,
+            run_dir=run_dir,
+            writers=writers,
+            seed=seed,
+        )
     else:
-        buffer = root.checkpoint.replay_buffer
-        session = Session(model, vec_env, statistics, run_dir, writers, buffer)
-    keeper = CheckpointKeeper(session, note, every, root.checkpoint.keep)
-    if found is not None:
-        session.resume(*found)
-        keeper.resume(found[0])
+        session = Session(
+            model=model,
+            vec_env=vec_env,
+            statistics=statistics,
+            run_dir=run_dir,
+            writers=writers,
+            replay_buffer=root.checkpoint.replay_buffer,
+        )
+    keeper = CheckpointKeeper(session, note, checkpoint_every, root.checkpoint.keep)
+    if resumed_from is not None:
+        session.resume(resumed_from, state)
+        keeper.resume(resumed_from)
+
     try:
         interrupt, resumable = session.learn(keeper.boundary, progress)
         checkpoint = keeper.final(finished=interrupt is None, resumable=resumable)
     except NotFiniteError as error:
         rate = (resolved.tree["algo"] or {}).get("learning_rate")
-        given = "" if rate is None else f", {rate},"
-        message = f"{error}; the learning rate{given} may be too large (algo.learning_rate)"
+        value = "" if rate is None else f", {rate},"
+        message = f"{error}; the learning rate{value} may be too large (algo.learning_rate)"
         raise NotFiniteError(message) from error
+    success_rate = statistics.success_rate
     summary = TrainSummary(
-        task=task,
+        task=resolved.task_name,
         algo=algorithm.name,
         seed=seed,
         num_envs=vec_env.num_envs,
         env_steps=statistics.env_steps,
         train_seconds=statistics.seconds,
         env_steps_per_second=statistics.env_steps_per_second,
-        time_fractions={name: round(v, 4) for name, v in statistics.fractions.items()},
+        time_fractions={name: round(share, 4) for name, share in statistics.fractions.items()},
         episodes=statistics.episodes,
-        success_rate=statistics.success_rate,
+        success_rate=success_rate,
         mean_return=statistics.mean_return,
         status="finished" if interrupt is None else "interrupted",
         checkpoint=checkpoint,
         best=keeper.best,
         demonstrations=None if demonstrations is None else len(demonstrations.lengths),
-        resumed_from=None if found is None else str(found[0]),
-        objective=(
-            statistics.mean_return if statistics.success_rate is None else statistics.success_rate
-        ),
+        resumed_from=None if resumed_from is None else str(resumed_from),
+        objective=statistics.mean_return if success_rate is None else success_rate,
     )
-    _write(run_dir, resolved.record(dataclasses.asdict(summary)))
+    _write_summary(run_dir, resolved.record(dataclasses.asdict(summary)))
     draw_curves(run_dir)
     if interrupt is not None:
         raise interrupt
     return summary
 
 
-def _between_checkpoints(root: RootCfg) -> int:
-    return root.checkpoint.every_steps or max(1, (root.total_timesteps or 0) // 10)
-
-
-def _give(demonstrations: Demonstrations, model: BaseAlgorithm, every: int) -> None:
+def _use_demonstrations(
+    demonstrations: Demonstrations, model: BaseAlgorithm, checkpoint_every: int
+) -> None:
     """Let a model learn from demonstrations, or fill its replay buffer with them."""
-    count, steps = len(demonstrations.lengths), demonstrations.steps
+    count = len(demonstrations.lengths)
+    steps = demonstrations.steps
     if isinstance(model, BehaviorCloning):
         model.set_demonstrations(demonstrations)
-        model.play_every = every
+        model.play_every = checkpoint_every
         _log.info("%d demonstrations of %s steps to learn from", count, f"{steps:,}")
         return
-    buffer, normalizer = buffer_of(model), model.get_vec_normalize_env()
+    buffer = buffer_of(model)
     if buffer is None:
         raise ValueError(f"{type(model).__name__} has no replay buffer to fill")
     added = fill(buffer, demonstrations)
+    normalizer = model.get_vec_normalize_env()
     if normalizer is not None:
         learn_scales(normalizer, demonstrations, rewards=True)
     again = f", {added - steps} of them twice" if added > steps else ""
-    what = f"{added:,} transitions{again}, of {count} demonstrations"
-    _log.info("the replay buffer begins with %s", what)
+    transitions = f"{added:,} transitions{again}, of {count} demonstrations"
+    _log.info("the replay buffer begins with %s", transitions)
 
 
-def _check_same(note: Mapping[str, Any], checkpoint: Path) -> None:
+def _check_same_demonstrations(note: Mapping[str, Any], checkpoint: Path) -> None:
     """Check that a training continues with the demonstrations that it began with."""
     if read_note(checkpoint).get(DEMONSTRATIONS) != note[DEMONSTRATIONS]:
         message = f"it has other demonstrations than those that {checkpoint} was made with"
         raise ConfigError([Problem("dataset", message)])
 
 
-def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
+def _write_summary(run_dir: Path, summary: Mapping[str, Any]) -> None:
     write_text(run_dir / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 

@@ -56,7 +56,7 @@ class TrainLogger(Logger):
     Args:
         folder: The run's folder.
         output_formats: Where rows are written.
-        every: Write each so-manieth row; the others' values go into the next that is written.
+        every: Write one row of so many; the others' values go into the next that is written.
 
     Attributes:
         rows: Rows so far, written or not, including those before a resume.
@@ -77,10 +77,12 @@ class TrainLogger(Logger):
 
     def state_dict(self) -> dict[str, Any]:
         """Return what is not yet written, for resuming the training."""
-        values: dict[str, Any] = dict(self.name_to_value)
-        excluded = dict(self.name_to_excluded)
-        counts = dict(self.name_to_count)
-        return {"rows": self.rows, "values": values, "counts": counts, "excluded": excluded}
+        return {
+            "rows": self.rows,
+            "values": dict(self.name_to_value),
+            "counts": dict(self.name_to_count),
+            "excluded": dict(self.name_to_excluded),
+        }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Continue from a `state_dict`."""
@@ -100,7 +102,7 @@ def make_logger(
         writers: Further outputs of the same numbers.
         env_steps: Environment steps that the training has taken already. If it continues in its
             folder, rows of `progress.csv` up to there are kept.
-        every: Write each so-manieth row.
+        every: Write one row of so many.
     """
     formats: list[KVWriter] = [_ContinuedCsv(run_dir / PROGRESS, env_steps)]
     if importlib.util.find_spec("tensorboard") is not None:
@@ -120,14 +122,15 @@ class _ContinuedCsv(CSVOutputFormat):
         lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
         rows = list(csv.reader(lines))
         if rows and STEPS in rows[0]:
-            self.keys, column = rows[0], rows[0].index(STEPS)
-            kept = [
-                line
-                for line, cells in zip(lines[1:], rows[1:], strict=False)
+            self.keys = rows[0]
+            step_column = self.keys.index(STEPS)
+            lines_before = [lines[0]]
+            for line, cells in zip(lines[1:], rows[1:], strict=False):
                 # A killed process may have written a part of the last row.
-                if len(cells) == len(self.keys) and 0 < float(cells[column] or 0) <= env_steps
-            ]
-            write_text(path, "\n".join([lines[0], *kept]) + "\n")
+                is_complete = len(cells) == len(self.keys)
+                if is_complete and 0 < float(cells[step_column] or 0) <= env_steps:
+                    lines_before.append(line)
+            write_text(path, "\n".join(lines_before) + "\n")
         else:
             write_text(path, "")
         self._open()
@@ -144,11 +147,13 @@ class _ContinuedCsv(CSVOutputFormat):
     ) -> None:
         """Write a row; new columns are sorted, since a set of names has a random order."""
         names = filter_excluded_keys(key_values, key_excluded, "csv").keys()
-        fresh = sorted(names - set(self.keys))
-        if fresh:
-            self.keys.extend(fresh)
+        new_names = sorted(names - set(self.keys))
+        if new_names:
+            self.keys.extend(new_names)
+            empty_cells = "," * len(new_names)
             rows = self._path.read_text(encoding="utf-8").splitlines()[1:]
-            lines = [",".join(self.keys), *(row + "," * len(fresh) for row in rows)]
+            lines = [",".join(self.keys)]
+            lines += [row + empty_cells for row in rows]
             write_text(self._path, "\n".join(lines) + "\n")
             self.file.close()
             self._open()
@@ -161,7 +166,9 @@ def log_interval(model: BaseAlgorithm) -> int:
     For on-policy algorithms it is each rollout, of which the logger skips some (`rows_apart`), for
     the others some episodes.
     """
-    return 1 if isinstance(model, OnPolicyAlgorithm) else max(4, model.n_envs)
+    if isinstance(model, OnPolicyAlgorithm):
+        return 1
+    return max(4, model.n_envs)
 
 
 def rows_apart(model: BaseAlgorithm, total_timesteps: int) -> int:
@@ -184,12 +191,12 @@ def log_episode(logger: Logger, info: Mapping[str, Any]) -> None:
         logger.record_mean(f"Episode_Reward/{name}", value)
     for name, value in info["metrics"].items():
         logger.record_mean(f"Episode_Metrics/{name}", float(value))
-    diverged = info["ended_by"] == "diverged"
-    ends = {kind: info["ended_by"] == kind for kind in ENDS}
-    for name, true in info["terminations"].items():
-        ends.setdefault(name, true and not diverged)
-    for name, true in ends.items():
-        logger.record_mean(f"Episode_Termination/{name}", float(true))
+    has_diverged = info["ended_by"] == "diverged"
+    ends = {cause: info["ended_by"] == cause for cause in ENDS}
+    for name, is_true in info["terminations"].items():
+        ends.setdefault(name, is_true and not has_diverged)
+    for name, is_true in ends.items():
+        logger.record_mean(f"Episode_Termination/{name}", float(is_true))
 
 
 class WandbWriter(KVWriter):
@@ -209,7 +216,7 @@ class WandbWriter(KVWriter):
         step: int = 0,
     ) -> None:
         """Write the numbers of a row; `step` is in environment steps."""
-        numbers = {k: v for k, v in key_values.items() if not isinstance(v, str)}
+        numbers = {key: value for key, value in key_values.items() if not isinstance(value, str)}
         self._run.log(numbers, step=step)
 
     def close(self) -> None:
@@ -275,5 +282,8 @@ def wandb_writers(
 
 
 def _mode(cfg: WandbCfg) -> Any:
-    """Read the variable here, because the package reads it only once per process."""
-    return os.environ.get("WANDB_MODE", "online") if cfg.mode == "online" else cfg.mode
+    """Return the mode of a run; ``online`` may be changed by ``WANDB_MODE``."""
+    if cfg.mode == "online":
+        # The package reads the variable only once per process.
+        return os.environ.get("WANDB_MODE", "online")
+    return cfg.mode

@@ -81,7 +81,7 @@ def test_pickles_that_acting_needs_are_data_or_refused(path, name):
         assert not was_run()
     with pytest.raises(ConfigError, match="trust=true"):
         load_policy(path, deterministic=False)
-    with pytest.raises(ConfigError):  # the payload is no policy
+    with pytest.raises(ConfigError):  # the payload is not a policy
         load_policy(path, trust=True)
     assert was_run()
 
@@ -250,16 +250,16 @@ def test_onnx_reads_no_other_file(tmp_path, location):
     Path("secret.bin").write_bytes(np.ones(2, np.float32).tobytes())
     model = onnx_beside(location.format(here=Path.cwd()))
     (tmp_path / "policy.onnx").write_bytes(model)
-    with pytest.raises(ConfigError, match="is no policy"):
+    with pytest.raises(ConfigError, match="is not a policy"):
         load_policy(tmp_path / "policy.onnx")
 
 
 def test_a_pickle_of_torch_is_no_policy(tmp_path):
     torch.save(Payload(), tmp_path / "policy.pt")
-    with pytest.raises(ConfigError, match="it is no TorchScript file"):
+    with pytest.raises(ConfigError, match="it is not a TorchScript file"):
         load_policy(tmp_path / "policy.pt", trust=True)
     (tmp_path / "policy.pt").write_bytes(pickled(Payload()))
-    with pytest.raises(ConfigError, match="it is no TorchScript file"):
+    with pytest.raises(ConfigError, match="it is not a TorchScript file"):
         load_policy(tmp_path / "policy.pt", trust=True)
     assert not was_run()
 

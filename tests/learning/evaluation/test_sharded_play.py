@@ -26,7 +26,7 @@ def columns(counted: EpisodeStatistics) -> dict[str, list[Any]]:
 @pytest.mark.parametrize("first", [1, 7])
 def test_statistics_and_steps_are_the_same(first: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """For calls of any length, and shards that finish at different times, or are lost."""
-    monkeypatch.setattr(sharded_play, "_FIRST", first)
+    monkeypatch.setattr(sharded_play, "_FIRST_STEPS", first)
     one = build(0, 5)
     whole, quota = EpisodeStatistics(5, 3), 3
     obs, _ = one.reset()
@@ -61,10 +61,10 @@ def test_the_number_of_steps_can_be_limited() -> None:
 
 
 def test_calls_become_longer_or_shorter(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sharded_play, "_FIRST", 4)
+    monkeypatch.setattr(sharded_play, "_FIRST_STEPS", 4)
     for short, long, expected in ((1e9, 2e9, [4, 8, 16]), (-1.0, 0.0, [4, 2, 1])):
-        monkeypatch.setattr(sharded_play, "_SHORT", short)
-        monkeypatch.setattr(sharded_play, "_LONG", long)
+        monkeypatch.setattr(sharded_play, "_SHORT_CALL_S", short)
+        monkeypatch.setattr(sharded_play, "_LONG_CALL_S", long)
         with sharded(build, 2, 2) as (env, _):
             env.reset()
             counted, seen = EpisodeStatistics(2, 500), [0]

@@ -166,7 +166,7 @@ def test_missing_packages_are_named(saved, tmp_path, monkeypatch, package):
 def test_files_that_are_no_policies(tmp_path, suffix):
     path = tmp_path / f"policy{suffix}"
     path.write_bytes(b"nothing of the kind")
-    with pytest.raises(ConfigError, match="is no policy: it is no") as caught:
+    with pytest.raises(ConfigError, match="is not a policy: it is not") as caught:
         load_policy(path)
     assert str(path) in str(caught.value)
     assert len(caught.value.problems) == 1

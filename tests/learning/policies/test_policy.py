@@ -124,7 +124,7 @@ def other_file(tmp_path, what):
     ("what", "message"),
     [
         ("missing", "no such file or folder"),
-        ("text", "is no policy of Stable-Baselines3: File is not a zip file"),
+        ("text", "is not a policy of Stable-Baselines3: File is not a zip file"),
         ("folder", "has no checkpoints/final.zip"),
         ("foreign zip", "it has no data"),
         ("no algorithm", "does not say which algorithm made it"),

@@ -201,7 +201,7 @@ def test_every_mistake_is_reported_at_its_place(quadruped):
     assert "has no counterpart 'FX_hip_joint'" in found[f"swap.{legs}"]
     assert "no joint matches 'hip'" in found["opposite"]
     found = wrong(quadruped, swap={legs: r"\1R_\2", r"FR_(.*)": r"FL_\1"})
-    assert "'FR_hip_joint' and 'FL_hip_joint' are no new pair" in found["swap.FR_(.*)"]
+    assert "'FR_hip_joint' and 'FL_hip_joint' are not a new pair" in found["swap.FR_(.*)"]
     assert r"malformed '\\9'" in wrong(quadruped, swap={legs: r"\9"})[f"swap.{legs}"]
     found = wrong(quadruped, opposite="FL_hip_joint")
     assert "FL_hip_joint, FR_hip_joint" in found["opposite"]
