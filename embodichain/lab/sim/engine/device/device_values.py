@@ -112,7 +112,7 @@ class Constants:
         if copy is not None:
             return copy
         copy = self._recent.get(key)
-        if _is_capturing():
+        if _capturing():
             if copy is None:
                 refuse(
                     f"an array of the host of shape {array.shape} is new in a captured step: used"
@@ -133,7 +133,7 @@ class Constants:
         return self.get(np.array(value, NUMPY_TYPES[dtype]), device).to(dtype)
 
 
-def _is_capturing() -> bool:
+def _capturing() -> bool:
     """Whether a CUDA graph is being captured."""
     return torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
 
