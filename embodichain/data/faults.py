@@ -25,15 +25,18 @@ def fault_of(path: Path) -> str:
         return f"not well-formed XML: {error}"
     except OSError as error:
         return f"cannot be read: {error.strerror}"
-    return _of_mjcf(root) if root.tag == "mujoco" else _of_urdf(path, root)
+    if root.tag == "mujoco":
+        return _fault_of_mjcf(root)
+    return _fault_of_urdf(path, root)
 
 
-def _of_mjcf(root: ET.Element) -> str:
-    whole = root.find("worldbody") is not None or root.find(".//include") is not None
-    return "" if whole else "it has no <worldbody>: a part that other files include"
+def _fault_of_mjcf(root: ET.Element) -> str:
+    if root.find("worldbody") is not None or root.find(".//include") is not None:
+        return ""
+    return "it has no <worldbody>: a part that other files include"
 
 
-def _of_urdf(path: Path, root: ET.Element) -> str:
+def _fault_of_urdf(path: Path, root: ET.Element) -> str:
     if any(unexpanded(root)):
         return "xacro has to be expanded to URDF first"
     if root.find("link") is None:
@@ -50,9 +53,9 @@ def unexpanded(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
     if "xacro" in str(root.tag):
         yield root, f"<{root.tag}>"
     for name, value in root.attrib.items():
-        left = _UNEXPANDED.search(value)
-        if left is not None:
-            yield root, f'{left[0]} in <{root.tag} {name}="{value}">'
+        match = _UNEXPANDED.search(value)
+        if match is not None:
+            yield root, f'{match[0]} in <{root.tag} {name}="{value}">'
         elif "xacro:" in name and not name.startswith("xmlns"):
             yield root, f"{name} in <{root.tag}>"
     for child in root:

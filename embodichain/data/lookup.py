@@ -1,4 +1,4 @@
-"""Finds robot and object files by name, and lists those that there are.
+"""Finds robot and object files by name, and lists them.
 
 `get_data_path` finds files, `resolve_package_uri` the meshes of models; `list_robots` and
 `list_assets` list files. Order for a relative name: the folder of the file that refers to it,
@@ -10,7 +10,6 @@ package is imported, and no model is parsed.
 
 from __future__ import annotations
 
-import itertools
 import os
 import posixpath
 import re
@@ -128,19 +127,23 @@ def _in_package(uri: str, package: str, rest: str, folder: Path) -> str:
     if package in (".", ".."):
         raise OutsideError(f"{uri!r} names no package: {package!r} is a folder above or itself")
     _check_inside(uri, rest)
-    beside = []
+    tried: list[tuple[str, Path]] = []
     for parent in (folder, *folder.parents):
         if parent.name == package:
-            beside.append(("package above the model file", parent))
+            root = parent
+            label = "package above the model file"
         elif (parent / package).is_dir():
-            beside.append(("package beside the model file", parent / package))
-    for _, root in beside:
+            root = parent / package
+            label = "package beside the model file"
+        else:
+            continue
         if (root / rest).exists():
             _check_link(uri, root / rest, root, package)
-    parents = _package_parents()
-    tried = [(label, root / rest) for label, root in beside]
-    tried += [(place.label, place.folder / package / rest) for place in parents]
-    tried += [("Python package", found / rest) for found in _python_package(package)]
+        tried.append((label, root / rest))
+    for place in _package_parents():
+        tried.append((place.label, place.folder / package / rest))
+    for root in _python_package(package):
+        tried.append(("Python package", root / rest))
     return _first_existing(uri, tried)
 
 
@@ -158,14 +161,14 @@ def _check_inside(name: str, rest: str) -> None:
 
 def _check_link(uri: str, path: Path, root: Path, package: str) -> None:
     """Refuse a file of a package that a link leads out of it, except to the package's source."""
-    found = path.resolve()
-    if found.is_relative_to(root.resolve()):
+    target = path.resolve()
+    if target.is_relative_to(root.resolve()):
         return
-    for parent in found.parents:
+    for parent in target.parents:
         about = parent / "package.xml"
         if about.is_file() and f"<name>{package}</name>" in about.read_text("utf-8", "replace"):
             return
-    raise OutsideError(f"{uri!r} leads out of its folder {root}: a link in it leads to {found}")
+    raise OutsideError(f"{uri!r} leads out of its folder {root}: a link in it leads to {target}")
 
 
 def _folder_of(near: str | os.PathLike[str]) -> Path:
@@ -189,40 +192,40 @@ def _closest_names(name: str, tried: list[tuple[str, Path]]) -> list[str]:
     if match:
         return _closest_packages(match["package"], match["rest"] or "", tried)
     robots = [robot.name for robot in list_robots()]
-    found = closest(name, robots, n=2, cutoff=0.75)
+    similar = closest(name, robots, n=2, cutoff=0.75)
     stem = Path(name).stem.casefold()
-    found += [robot for robot in robots if Path(robot).stem.casefold() == stem]
-    found += [str(Path(name).parent / sibling) for sibling in _siblings(tried)]
-    if not found:
+    similar += [robot for robot in robots if Path(robot).stem.casefold() == stem]
+    similar += [str(Path(name).parent / sibling) for sibling in _siblings(tried)]
+    if not similar:
         by_file = {Path(robot).name: robot for robot in robots}
-        found = [by_file[file] for file in closest(Path(name).name, by_file, n=1, cutoff=0.7)]
-    return list(dict.fromkeys(found))[:3]
+        similar = [by_file[file] for file in closest(Path(name).name, by_file, n=1, cutoff=0.7)]
+    return list(dict.fromkeys(similar))[:3]
 
 
 def _closest_packages(package: str, rest: str, tried: list[tuple[str, Path]]) -> list[str]:
     """Return existing URIs similar to ``package://<package>/<rest>``."""
     base = f"package://{package}"
-    found = [f"{base}/{Path(rest).parent / sibling}" for sibling in _siblings(tried)]
-    if not found:
-        entries = [entry for place in _package_parents() for entry in place.folder.iterdir()]
-        packages = [entry.name for entry in entries if entry.is_dir()]
-        found = [f"package://{other}/{rest}" for other in closest(package, packages)]
-    return list(dict.fromkeys(found))[:3]
+    similar = [f"{base}/{Path(rest).parent / sibling}" for sibling in _siblings(tried)]
+    if not similar:
+        packages: list[str] = []
+        for place in _package_parents():
+            packages += [entry.name for entry in place.folder.iterdir() if entry.is_dir()]
+        similar = [f"package://{other}/{rest}" for other in closest(package, packages)]
+    return list(dict.fromkeys(similar))[:3]
 
 
 def _siblings(tried: list[tuple[str, Path]]) -> list[str]:
     """Return similar names in the folders of the tried paths."""
-    folders = [path for _, path in tried if path.parent.is_dir()]
-    return [
-        name
-        for path in folders
-        for name in closest(path.name, (entry.name for entry in path.parent.iterdir()))
-    ]
+    names: list[str] = []
+    for _, path in tried:
+        if path.parent.is_dir():
+            names += closest(path.name, (entry.name for entry in path.parent.iterdir()))
+    return names
 
 
 def _advice(name: str) -> str:
     """Return the command that would provide `name`, guessed from the name."""
-    installed = {place.label: place for place in places()}
+    installed = {place.label for place in places()}
     if "menagerie" in name and not _menagerie_models():
         return HOW
     if "example-robot-data" not in installed:
@@ -270,7 +273,7 @@ def data_root() -> Path:
 def places() -> list[Place]:
     """Return the places searched for a relative name, in order."""
     root = data_root()
-    found = [
+    in_order = [
         Place("EMBODICHAIN_DATA_ROOT", root),
         Place("EMBODICHAIN_DATA_ROOT, extracted archives", root / "extract"),
         Place("bundled", ASSETS),
@@ -278,10 +281,10 @@ def places() -> list[Place]:
     for share in _share_folders():
         robots = share / "example-robot-data" / "robots"
         if robots.is_dir():
-            found.append(Place("example-robot-data", robots, "example-robot-data/robots"))
+            in_order.append(Place("example-robot-data", robots, "example-robot-data/robots"))
     menagerie = _descriptions_cache() / "mujoco_menagerie"
-    found.append(Place("mujoco_menagerie", menagerie, "mujoco_menagerie"))
-    return found
+    in_order.append(Place("mujoco_menagerie", menagerie, "mujoco_menagerie"))
+    return in_order
 
 
 def _package_parents() -> list[Place]:
@@ -290,7 +293,8 @@ def _package_parents() -> list[Place]:
     The data root, the bundled assets, data folders of Python packages (cmeel among them) and ROS
     packages, and the cache of robot_descriptions.
     """
-    root, shares = data_root(), _share_folders()
+    root = data_root()
+    shares = _share_folders()
     parents = [
         Place("EMBODICHAIN_DATA_ROOT", root),
         Place("EMBODICHAIN_DATA_ROOT, extracted archives", root / "extract"),
@@ -309,7 +313,9 @@ def _python_package(name: str) -> list[Path]:
     if not module.isidentifier() or module == "__main__":
         return []
     spec = find_spec(module)
-    return [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
+    if spec is None:
+        return []
+    return [Path(folder) for folder in spec.submodule_search_locations or ()]
 
 
 def _share_folders() -> list[Path]:
@@ -321,9 +327,10 @@ def _share_folders() -> list[Path]:
 
 def _ros_folders() -> list[Path]:
     """Return the folders with ROS packages, from the variables that ROS sets."""
-    ament = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    return [Path(prefix, "share") for prefix in ament if prefix] + [Path(p) for p in ros if p]
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    folders = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    shares = [Path(prefix, "share") for prefix in prefixes if prefix]
+    return shares + [Path(folder) for folder in folders if folder]
 
 
 def _descriptions_cache() -> Path:
@@ -337,10 +344,10 @@ def _descriptions_cache() -> Path:
 
 def _menagerie_models() -> dict[str, Path]:
     """Return the folder of every available model, by name; the first place takes precedence."""
-    found: dict[str, Path] = {}
+    models: dict[str, Path] = {}
     for name, folder in _menagerie_folders():
-        found.setdefault(name, folder)
-    return dict(sorted(found.items()))
+        models.setdefault(name, folder)
+    return dict(sorted(models.items()))
 
 
 def _find_model(text: str) -> Path:
@@ -356,11 +363,11 @@ def _find_model(text: str) -> Path:
     _check_inside(text, file)
     if name not in models:
         searched = [(label, str(folder)) for label, folder in _menagerie_places()]
-        near = [PREFIX + match for match in closest(name, models)]
-        advice = (
-            f"{len(models)} of its models are here: `embodichain list robots`" if models else HOW
-        )
-        raise DataNotFoundError(text, searched, near, advice)
+        similar = [PREFIX + model for model in closest(name, models)]
+        advice = HOW
+        if models:
+            advice = f"{len(models)} of its models are here: `embodichain list robots`"
+        raise DataNotFoundError(text, searched, similar, advice)
     folder = models[name]
     path = folder / file if file else _main_file(name, folder)
     if path is not None and path.is_file():
@@ -377,10 +384,12 @@ def _main_file(name: str, folder: Path) -> Path | None:
     only robot file.
     """
     files = _robot_files(folder)
-    named = [f for f in files if name == f.stem or name.endswith(f"_{f.stem}")]
+    named = [file for file in files if name == file.stem or name.endswith(f"_{file.stem}")]
     if named:
-        return max(named, key=lambda f: len(f.stem))
-    return files[0] if len(files) == 1 else None
+        return max(named, key=lambda file: len(file.stem))
+    if len(files) == 1:
+        return files[0]
+    return None
 
 
 def _robot_files(folder: Path) -> list[Path]:
@@ -406,10 +415,11 @@ def _menagerie_places() -> list[tuple[str, Path]]:
     for variable in ("MENAGERIE_PATH", "MENAGERIE_ROOT"):  # ours, and mujoco-menagerie's
         if root := os.environ.get(variable):
             places.append((variable, Path(root).expanduser()))
-    own = os.environ.get("MENAGERIE_CACHE_DIR")
-    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    cache = Path(own) if own else Path(base, "mujoco_menagerie")
-    places.append((_CACHE, cache.expanduser() / "models"))
+    cache = os.environ.get("MENAGERIE_CACHE_DIR")
+    if not cache:
+        base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+        cache = os.path.join(base, "mujoco_menagerie")
+    places.append((_CACHE, Path(cache).expanduser() / "models"))
     places.append(("cache of robot_descriptions", _descriptions_cache() / "mujoco_menagerie"))
     return places
 
@@ -439,15 +449,17 @@ def list_robots() -> list[Asset]:
 
     A model with the name of an earlier one is left out: `get_data_path` would not find it.
     """
-    own = (_models(place) for place in places() if place.label != "mujoco_menagerie")
-    return list(_unique(itertools.chain(own, [_menagerie()])))
+    groups = [_models(place) for place in places() if place.label != "mujoco_menagerie"]
+    groups.append(_menagerie())
+    return list(_unique(groups))
 
 
 def list_assets() -> list[Asset]:
     """Return all files of the data root and bundled assets, and all robots of packages."""
-    own = [place for place in places() if not place.prefix]
-    robots = [asset for asset in list_robots() if asset.source not in {p.label for p in own}]
-    return [*_unique(_files(place) for place in own), *robots]
+    searched = [place for place in places() if not place.prefix]
+    labels = {place.label for place in searched}
+    robots = [asset for asset in list_robots() if asset.source not in labels]
+    return [*_unique(_files(place) for place in searched), *robots]
 
 
 def _unique(groups: Iterable[Iterable[Asset]]) -> Iterator[Asset]:

@@ -78,5 +78,6 @@ def pretrained(task: str) -> Pretrained:
     if task not in tasks:
         message = f"no trained policy ships for task {task}; tasks with one: {', '.join(tasks)}"
         raise ConfigError([Problem("policy", message, did_you_mean(task, tasks).strip())])
-    found = json.loads((FOLDER / f"{task}.json").read_text(encoding="utf-8"))
-    return Pretrained(**{**found, "interval": tuple(found["interval"])})
+    values = json.loads((FOLDER / f"{task}.json").read_text(encoding="utf-8"))
+    values["interval"] = tuple(values["interval"])
+    return Pretrained(**values)

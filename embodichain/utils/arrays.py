@@ -101,7 +101,7 @@ class Arrays:
         return RandomStreams(seed, count, first)
 
     def require_host(self, what: str, path: str = "") -> None:
-        """Refuse something that has no form with arrays on a device.
+        """Refuse something that is not available with arrays on a device.
 
         Args:
             what: What needs arrays on the host.
@@ -282,8 +282,10 @@ def as_rows(
         if shared and array.shape == (width,):
             array = np.broadcast_to(array, (rows, width))
         else:
-            wanted = f"({rows}, {width})" + (f" or ({width},)" if shared else "")
-            raise ValueError(f"{what} must have shape {wanted}, got {array.shape}")
+            shapes = f"({rows}, {width})"
+            if shared:
+                shapes += f" or ({width},)"
+            raise ValueError(f"{what} must have shape {shapes}, got {array.shape}")
     if finite and not all_finite(array):
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         raise ValueError(f"{what} is not finite in rows {bad[:8].tolist()}")

@@ -146,12 +146,15 @@ def _missing(value: Any, path: str) -> list[str]:
     if value is MISSING:
         return [path]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        items = [(f"{path}.{f.name}", getattr(value, f.name)) for f in dataclasses.fields(value)]
+        entries = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     elif isinstance(value, Mapping):
-        items = [(f"{path}.{k}", v) for k, v in value.items()]
+        entries = dict(value)
     else:
         return []
-    return [name for child, v in items for name in _missing(v, child)]
+    missing: list[str] = []
+    for name, entry in entries.items():
+        missing += _missing(entry, f"{path}.{name}")
+    return missing
 
 
 def _from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:

@@ -53,9 +53,9 @@ class EnvText(str):
 
     def __new__(cls, value: str, written: str) -> EnvText:
         """Make a text with this value."""
-        found = super().__new__(cls, value)
-        found.written = written
-        return found
+        text = super().__new__(cls, value)
+        text.written = written
+        return text
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle and copy both, with what messages of another process have to hide."""
@@ -81,7 +81,7 @@ def _again(value: str, written: str, known: Mapping[str, str]) -> EnvText:
 
 def remember(name: str, value: str) -> None:
     """Note a value that this process took from a variable, so that messages hide it."""
-    if len(value) >= _SHORTEST and value not in os.environ:  # names of variables are no secrets
+    if len(value) >= _SHORTEST and value not in os.environ:  # names of variables are not secret
         _values[value] = name
 
 

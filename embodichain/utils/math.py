@@ -48,7 +48,8 @@ _SECOND_SIGN = np.array([[1.0, -1, 1, 1, 1, -1, -1, 1, 1]]).T
 _FACTOR = np.array([[-2.0, 2, 2, 2, -2, 2, 2, 2, -2]]).T
 _IDENTITY = np.eye(3).reshape(9, 1)
 # Likewise for the 9 products a[i] b[j] of two vectors.
-_CROSS_PLUS, _CROSS_MINUS = np.array([5, 6, 1]), np.array([7, 2, 3])
+_CROSS_PLUS = np.array([5, 6, 1])
+_CROSS_MINUS = np.array([7, 2, 3])
 
 
 def _floats(values: Any) -> Floats:
@@ -173,7 +174,8 @@ def matrix_to_quat(m: Floats) -> Floats:
 def euler_xyz_to_quat(angles: Floats) -> Floats:
     """Wxyz quaternions of intrinsic XYZ Euler angles in radians (R = Rx Ry Rz), (..., 3)."""
     half = 0.5 * contiguous(np.moveaxis(_floats(angles), -1, 0))
-    (cx, cy, cz), (sx, sy, sz) = np.cos(half), np.sin(half)
+    cx, cy, cz = np.cos(half)
+    sx, sy, sz = np.sin(half)
     return np.stack(
         [
             cx * cy * cz - sx * sy * sz,
@@ -197,12 +199,16 @@ def quat_to_rpy(quats: Floats) -> Floats:
     give the same rotation: roll is found with the yaw taken away.
     """
     w, x, y, z = contiguous(np.moveaxis(_floats(quats), -1, 0))
-    m00, m11 = 1.0 - 2.0 * (y * y + z * z), 1.0 - 2.0 * (x * x + z * z)
-    m10, m01 = 2.0 * (x * y + w * z), 2.0 * (x * y - w * z)
-    m20, m02 = 2.0 * (x * z - w * y), 2.0 * (x * z + w * y)
+    m00 = 1.0 - 2.0 * (y * y + z * z)
+    m01 = 2.0 * (x * y - w * z)
+    m02 = 2.0 * (x * z + w * y)
+    m10 = 2.0 * (x * y + w * z)
+    m11 = 1.0 - 2.0 * (x * x + z * z)
     m12 = 2.0 * (y * z - w * x)
+    m20 = 2.0 * (x * z - w * y)
     yaw = np.arctan2(m10, m00)
-    cos, sin = np.cos(yaw), np.sin(yaw)
+    cos = np.cos(yaw)
+    sin = np.sin(yaw)
     pitch = np.arctan2(-m20, cos * m00 + sin * m10)
     roll = np.arctan2(sin * m02 - cos * m12, cos * m11 - sin * m01)
     return np.stack([roll, pitch, yaw], axis=-1)
@@ -254,12 +260,13 @@ def look_at(eye: Floats, target: Floats, up: Floats) -> Floats:
     if (length < 1e-9).any():
         raise ValueError(f"the eye is at the target, {np.asarray(eye).tolist()}")
     back = back / length
-    right, done = np.zeros_like(back), np.zeros(length.shape, np.bool_)
+    right = np.zeros_like(back)
+    is_done = np.zeros(length.shape, np.bool_)
     for upwards in (np.asarray(up, np.float64), np.eye(3)[0], np.eye(3)[1]):
         side = cross(np.broadcast_to(upwards, back.shape), back)
         size = np.sqrt((side * side).sum(axis=-1, keepdims=True))
-        right = np.where(~done & (size > 1e-6), side / np.maximum(size, 1e-6), right)
-        done = done | (size > 1e-6)
+        right = np.where(~is_done & (size > 1e-6), side / np.maximum(size, 1e-6), right)
+        is_done = is_done | (size > 1e-6)
     return np.stack([right, cross(back, right), back], axis=-1)
 
 

@@ -32,7 +32,10 @@ GAMMA = np.uint64(0x9E3779B97F4A7C15)
 """SplitMix64's increment."""
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
-_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+_S30 = np.uint64(30)
+_S27 = np.uint64(27)
+_S31 = np.uint64(31)
+_S11 = np.uint64(11)
 _UNIT = 2.0**-53
 _BLOCK = 8192
 """Maximum of numbers computed ahead; a small draw costs as much as a thousand numbers."""
@@ -93,7 +96,8 @@ class _Block:
         if low is not self.low or high is not self.high:
             if not (_fixed(low) and _fixed(high)):
                 return _scaled(self.unit[row], low, high)
-            self.low, self.high = low, high
+            self.low = low
+            self.high = high
             self.values = _scaled(self.unit, low, high)
             self.values.setflags(write=False)
         return self.values[row]

@@ -7,7 +7,7 @@ from difflib import SequenceMatcher
 
 __all__ = ["closest", "did_you_mean", "listing"]
 
-_WHOLE = 20
+_MOST_LISTED = 20
 """Maximum number of names that a message lists in full."""
 _FEW = 3
 
@@ -55,15 +55,17 @@ def listing(names: Iterable[str], word: str = "", shown_by: str = "") -> str:
     Returns:
         ``a, b``; ``none``; or ``a, b, c, ... (66 in all: `embodichain list terms`)``.
     """
-    known = list(dict.fromkeys(names))
-    if len(known) <= _WHOLE:
-        return ", ".join(known) or "none"
-    few = closest(word, known, _FEW, cutoff=0.0) if word else known[:_FEW]
+    unique = list(dict.fromkeys(names))
+    if len(unique) <= _MOST_LISTED:
+        return ", ".join(unique) or "none"
+    few = closest(word, unique, _FEW, cutoff=0.0) if word else unique[:_FEW]
     command = f": `{shown_by}`" if shown_by else ""
-    return f"{', '.join(few)}, ... ({len(known)} in all{command})"
+    return f"{', '.join(few)}, ... ({len(unique)} in all{command})"
 
 
 def did_you_mean(word: str, candidates: Iterable[str]) -> str:
     """Return ``" Did you mean 'x'?"`` to append to a message, or ``""`` when nothing is close."""
     matches = closest(word, candidates)
-    return f" Did you mean '{matches[0]}'?" if matches else ""
+    if not matches:
+        return ""
+    return f" Did you mean '{matches[0]}'?"

@@ -56,10 +56,10 @@ class TensorMapping(MutableMapping[Any, Any]):
         if isinstance(key, str):
             return self.entries[key]
         if isinstance(key, tuple) and key and isinstance(key[0], str):
-            found: Any = self
+            entry: Any = self
             for name in key:
-                found = found[name]
-            return found
+                entry = entry[name]
+            return entry
         return self._each(lambda tensor: tensor[key])
 
     def __setitem__(self, key: Any, value: Any) -> None:
@@ -80,8 +80,9 @@ class TensorMapping(MutableMapping[Any, Any]):
         elif not isinstance(value, torch.Tensor):
             raise ValueError(f"entry {key!r} must be a tensor, got {type(value).__name__}")
         elif value.shape[: len(self.batch_size)] != self.batch_size:
-            rows, found = tuple(self.batch_size), tuple(value.shape)
-            raise ValueError(f"entry {key!r} must have shape ({rows[0]}, ...), got {found}")
+            rows = self.batch_size[0]
+            shape = tuple(value.shape)
+            raise ValueError(f"entry {key!r} must have shape ({rows}, ...), got {shape}")
         self.entries[key] = value
 
     def __delitem__(self, key: Any) -> None:
@@ -93,11 +94,11 @@ class TensorMapping(MutableMapping[Any, Any]):
     def __contains__(self, key: object) -> bool:
         """Whether there is an entry of this name or path."""
         path = key if isinstance(key, tuple) else (key,)
-        found: Any = self
+        entry: Any = self
         for name in path:
-            if not isinstance(found, TensorMapping) or name not in found.entries:
+            if not isinstance(entry, TensorMapping) or name not in entry.entries:
                 return False
-            found = found.entries[name]
+            entry = entry.entries[name]
         return True
 
     def __iter__(self) -> Iterator[str]:
@@ -139,12 +140,13 @@ class TensorMapping(MutableMapping[Any, Any]):
 
     def _walk(self, nested: bool, leaves: bool) -> Iterator[tuple[Any, Any]]:
         for name, value in self.entries.items():
-            inner = isinstance(value, TensorMapping)
-            if not (inner and leaves):
+            is_mapping = isinstance(value, TensorMapping)
+            if not (is_mapping and leaves):
                 yield name, value
-            if inner and nested:
+            if is_mapping and nested:
                 for key, leaf in value.items(True, leaves):
-                    yield (name, *key) if isinstance(key, tuple) else (name, key), leaf
+                    path = key if isinstance(key, tuple) else (key,)
+                    yield (name, *path), leaf
 
     def set(self, key: Any, value: Any) -> TensorMapping:
         """Set an entry by name or path; returns this mapping."""
@@ -190,7 +192,9 @@ class TensorMapping(MutableMapping[Any, Any]):
 
     def clone(self, recurse: bool = True) -> TensorMapping:
         """Return a copy; without `recurse` its levels are new and its tensors shared."""
-        return self._each((lambda tensor: tensor.clone()) if recurse else (lambda tensor: tensor))
+        if recurse:
+            return self._each(lambda tensor: tensor.clone())
+        return self._each(lambda tensor: tensor)
 
     def to_dict(self) -> dict[str, Any]:
         """Return nested dicts of the same tensors."""
@@ -207,10 +211,9 @@ class TensorMapping(MutableMapping[Any, Any]):
 
     def __repr__(self) -> str:
         """Return names, shapes and types."""
-        parts = (
-            f"{'/'.join(key) if isinstance(key, tuple) else key}: {tuple(leaf.shape)} {leaf.dtype}"
-            for key, leaf in self.items(True, True)
-        )
+        parts = [
+            f"{'/'.join(path)}: {tuple(leaf.shape)} {leaf.dtype}" for path, leaf in leaves_of(self)
+        ]
         return f"{type(self).__name__}({', '.join(parts)})"
 
 

@@ -153,9 +153,12 @@ class SimulationManagerCfg:
     @property
     def has_ground(self) -> bool:
         """Whether there is a `default_plane`: a plane at z = 0, or a terrain."""
+        if self.scene.terrain is not None:
+            return True
         ground = self.scene.ground
-        wanted = not self.scene.fpath if ground is None else ground.type != "none"
-        return (self.ground_plane and wanted) or self.scene.terrain is not None
+        if ground is None:  # a scene's file brings its own
+            return self.ground_plane and not self.scene.fpath
+        return self.ground_plane and ground.type != "none"
 
 
 _SPEED = NoEffect("MuJoCo has no velocity limit")

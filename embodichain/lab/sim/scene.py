@@ -196,7 +196,9 @@ class Scene:
             else:
                 _require_same(parts, self._precompiled.parts)
                 self.compiled = self._precompiled
-            notes = [f"{p.uid}: {note}" for p in parts.articulations for note in p.all_notes]
+            notes: list[str] = []
+            for articulation in parts.articulations:
+                notes += [f"{articulation.uid}: {note}" for note in articulation.all_notes]
             if not self._checked:
                 notes += self._without_effect()
             for note in (*notes, *self.compiled.notes):
@@ -216,15 +218,15 @@ class Scene:
 
     def _without_effect(self) -> list[str]:
         """Messages about values of configs made in Python that change nothing."""
-        said: list[str] = []
+        messages: list[str] = []
         for uid, entity in {**self.jointed, **self.rigid_objects}.items():
             if uid in self.inside:
                 continue
-            own: Any = entity.cfg
-            for where, cfg in (("", own), ("attrs.", own.attrs)):
-                found = changed_without_effect(cfg)
-                said += [f"{uid}: {where}{name} {mark.message}" for name, mark in found]
-        return said
+            entity_cfg: Any = entity.cfg
+            for prefix, cfg in (("", entity_cfg), ("attrs.", entity_cfg.attrs)):
+                for name, mark in changed_without_effect(cfg):
+                    messages.append(f"{uid}: {prefix}{name} {mark.message}")
+        return messages
 
     def bind(self, engine: Engine) -> None:
         """Give every handle the engine and its indices in the compiled model."""
@@ -240,9 +242,10 @@ class Scene:
         """Drop the model, and have every handle drop the engine."""
         self.compiled = None
         self.known.clear()
-        groups = self.jointed, self.rigid_objects, self.lights, self.sensors
-        for handle in (handle for group in groups for handle in group.values()):
-            handle.destroy()
+        groups = (self.jointed, self.rigid_objects, self.lights, self.sensors)
+        for group in groups:
+            for handle in group.values():
+                handle.destroy()
 
 
 def _require_same(parts: SceneParts, compiled: SceneParts) -> None:

@@ -113,8 +113,8 @@ class SimulationManager(Uncopied):
         )
         if problems:
             raise DeviceError(problems)
-        there = self._engine_name == "warp" and self.sim_config.warp.arrays == "device"
-        self.arrays = DeviceArrays(self.sim_config.device_name) if there else Arrays()
+        on_device = self._engine_name == "warp" and self.sim_config.warp.arrays == "device"
+        self.arrays = DeviceArrays(self.sim_config.device_name) if on_device else Arrays()
         self.device = self.arrays.device
         self.num_envs = int(self.sim_config.num_envs)
         if self.num_envs < 1:
@@ -129,7 +129,8 @@ class SimulationManager(Uncopied):
         self.rigid_objects = self._scene.rigid_objects
         self.lights = self._scene.lights
         self.sensors = self._scene.sensors
-        self.inside, self.known = self._scene.inside, self._scene.known
+        self.inside = self._scene.inside
+        self.known = self._scene.known
         for uid, inside in self.inside.items():
             self.rigid_objects[uid] = RigidObject(inside, uid, self)
         self._destroyed = False
@@ -270,18 +271,30 @@ class SimulationManager(Uncopied):
             raise RuntimeError("the simulation was destroyed")
         if self._engine is not None:
             return
-        cfg, scene = self.sim_config, self._scene.compile()
+        cfg = self.sim_config
+        scene = self._scene.compile()
         if self._engine_name == "warp":
             from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
             from embodichain.lab.sim.engine.warp.warp_engine import WarpEngine
 
             kind = DeviceEngine if self.arrays.on_device else WarpEngine
-            sizes = cfg.device_name, cfg.warp.nconmax, cfg.warp.njmax
-            self._engine = kind(scene.model, self.num_envs, cfg.num_threads, *sizes)
+            self._engine = kind(
+                scene.model,
+                self.num_envs,
+                num_threads=cfg.num_threads,
+                device=cfg.device_name,
+                nconmax=cfg.warp.nconmax,
+                njmax=cfg.warp.njmax,
+            )
         else:
-            each = bytes_of(scene.model, cfg.persistent)
-            require_memory_for(self.num_envs, each, "environments of this scene", "num_envs")
-            self._engine = CpuEngine(scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
+            env_bytes = bytes_of(scene.model, cfg.persistent)
+            require_memory_for(self.num_envs, env_bytes, "environments of this scene", "num_envs")
+            self._engine = CpuEngine(
+                scene.model,
+                self.num_envs,
+                num_threads=cfg.num_threads,
+                persistent=cfg.persistent,
+            )
         self._initial_row = scene.initial_row
         self._engine.write("row", self._initial_row)
         self._scene.bind(self._engine)
@@ -383,8 +396,8 @@ class SimulationManager(Uncopied):
         if env_id is not None and not 0 <= env_id < self.num_envs:
             raise ValueError(f"env_id must be in [0, {self.num_envs}), got {env_id}")
         ids = None if env_id is None else np.array([env_id])
-        found = self.renderer.pictures(self.engine, camera, (width, height), ids)
-        return found if env_id is None else found[0]
+        pictures = self.renderer.pictures(self.engine, camera, (width, height), ids)
+        return pictures if env_id is None else pictures[0]
 
     def open_window(self, env_id: int = 0) -> None:
         """Open MuJoCo's viewer on one environment; `update` refreshes it.

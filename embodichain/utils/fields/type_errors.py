@@ -7,6 +7,7 @@ YAML, with files and lines.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -67,12 +68,13 @@ def what_is_wrong(
         ``Did you mean 'y'?`` or nothing.
     """
     error = errors[0]
-    kind, value, context = error["type"], error["input"], error.get("ctx", {})
+    kind = error["type"]
+    value = error["input"]
     if kind == "missing":
         return "missing value: it must be set", ""
     if kind in _LIMITS:
         key, words = _LIMITS[kind]
-        return f"must be {words} {context[key]}, got {show_value(value)}", ""
+        return f"must be {words} {error['ctx'][key]}, got {show_value(value)}", ""
     if kind in ("value_error", "assertion_error"):
         message = str(error["msg"]).partition("error, ")[2] or str(error["msg"])
         return f"{message[:1].lower()}{message[1:]}, got {show_value(value)}", ""
@@ -80,10 +82,13 @@ def what_is_wrong(
         message = str(error["msg"])
         return f"{message[:1].lower()}{message[1:]}, got {show_value(value)}", ""
     expected = [_expected(e, patterns or {}) for e in errors if e["type"] != "callable_type"]
-    choices = [c for e in errors for c in _choices(e)]
-    hint = did_you_mean(value, choices).strip() if isinstance(value, str) else ""
-    wanted = " or ".join(dict.fromkeys(expected))
-    return f"expected {wanted}, got {show_value(value)}{'.' if hint else ''}", hint
+    message = f"expected {' or '.join(dict.fromkeys(expected))}, got {show_value(value)}"
+    if isinstance(value, str):
+        choices = list(itertools.chain.from_iterable(map(_choices, errors)))
+        hint = did_you_mean(value, choices).strip()
+        if hint:
+            return f"{message}.", hint
+    return message, ""
 
 
 def expected_kind(errors: Sequence[ErrorDetails]) -> str:
@@ -98,14 +103,16 @@ def expected_kind(errors: Sequence[ErrorDetails]) -> str:
     """
     kinds = {error["type"] for error in errors}
     value = errors[0]["input"]
-    text = kinds & _TEXT_ERRORS or any(_choices(error) for error in errors)
-    if text and isinstance(value, bool | int | float):
+    takes_text = kinds & _TEXT_ERRORS or any(_choices(error) for error in errors)
+    if takes_text and isinstance(value, bool | int | float):
         return "text"
     if not isinstance(value, str):
         return ""
     if kinds & _NUMBER_ERRORS:
         return "number"
-    return "flag" if kinds & _FLAG_ERRORS else ""
+    if kinds & _FLAG_ERRORS:
+        return "flag"
+    return ""
 
 
 def unknown_key(name: str, allowed: Sequence[str]) -> tuple[str, str]:
@@ -123,7 +130,9 @@ def show_value(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     text = hidden(repr(value))  # before it is cut: a part of a value would not be found
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    if len(text) <= _LONGEST:
+        return text
+    return text[: _LONGEST - 3] + "..."
 
 
 def _expected(error: ErrorDetails, patterns: Mapping[str, str]) -> str:
@@ -131,7 +140,9 @@ def _expected(error: ErrorDetails, patterns: Mapping[str, str]) -> str:
         choices = [repr(choice) for choice in _choices(error)]
         if not choices:  # numbers
             return f"one of {error['ctx']['expected']}"
-        return choices[0] if len(choices) == 1 else f"one of {', '.join(choices)}"
+        if len(choices) == 1:
+            return choices[0]
+        return f"one of {', '.join(choices)}"
     if error["type"] == "string_pattern_mismatch":
         pattern = error["ctx"]["pattern"]
         return patterns.get(pattern, f"text like {pattern}")
@@ -169,18 +180,21 @@ def from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
     try:
         return TypeAdapter(cls).validate_python(init_dict)
     except ValidationError as error:
-        names = [f.name for f in dataclasses.fields(cls)]
-        problems = []
-        for found in error.errors():
-            path = [str(part) for part in found["loc"]]
-            other_name = getattr(cls, "other_names", {}).get(path[-1]) if len(path) == 1 else None
-            if found["type"] != "unexpected_keyword_argument":
-                message, hint = what_is_wrong([found])
-            elif other_name is not None:
-                message, hint = said_twice(other_name), ""
-            elif len(path) == 1:
-                message, hint = unknown_key(path[0], names)
-            else:
-                message, hint = "unknown key", ""
-            problems.append(Problem(".".join(path), message, hint))
-        raise ConfigError(problems) from error
+        raise ConfigError([_problem(cls, details) for details in error.errors()]) from error
+
+
+def _problem(cls: type[Any], details: ErrorDetails) -> Problem:
+    """Return what is wrong in the values of a config, at the key path of one error."""
+    keys = [str(part) for part in details["loc"]]
+    path = ".".join(keys)
+    if details["type"] != "unexpected_keyword_argument":
+        message, hint = what_is_wrong([details])
+        return Problem(path, message, hint)
+    if len(keys) > 1:
+        return Problem(path, "unknown key")
+    other_name = getattr(cls, "other_names", {}).get(keys[0])
+    if other_name is not None:
+        return Problem(path, said_twice(other_name))
+    names = [field.name for field in dataclasses.fields(cls)]
+    message, hint = unknown_key(keys[0], names)
+    return Problem(path, message, hint)

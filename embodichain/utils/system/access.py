@@ -50,18 +50,19 @@ class Access:
             host: The address.
             path: Key path of the server's config, for messages.
         """
-        where, token = f"{path}.token", self.token
+        token = self.token
+        token_path = f"{path}.token"
         if token == NONE and not is_loopback(host):
             message = (
                 f"none is for an address that only this machine reaches, and {path}.host is {host}"
             )
-            yield Problem(where, message, "Leave it out and one is drawn, or give a text.")
+            yield Problem(token_path, message, "Leave it out and one is drawn, or give a text.")
         elif token.lower() in (AUTO, NONE) and token not in (AUTO, NONE):
             hint = f"Did you mean {token.lower()!r}?"
-            yield Problem(where, "auto and none are written in small letters", hint)
+            yield Problem(token_path, "auto and none are written in small letters", hint)
         elif is_secret(token) and not _TOKEN.fullmatch(token):
             message = "a token consists of printable ASCII characters without blanks"
-            yield Problem(where, message, "It is sent in addresses and headers.")
+            yield Problem(token_path, message, "It is sent in addresses and headers.")
         for i, name in enumerate(self.allow_hosts):
             if not _HOST.fullmatch(name):
                 message = f"expected a name without scheme and path, got {name!r}"

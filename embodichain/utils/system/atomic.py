@@ -53,9 +53,10 @@ def remove_abandoned(folder: str | Path | int) -> None:
         folder: A folder, or its descriptor; those in it are not searched.
     """
     with suppress(OSError), os.scandir(folder) as entries:
-        found = [(entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries]
+        # A list: the folder is not to be read while entries are removed from it.
+        names = [(entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries]
         place = folder if isinstance(folder, int) else None
-        for name, is_folder in found:
+        for name, is_folder in names:
             match = _NAME.fullmatch(name)
             process = None if match is None else ProcessId.parse(match["process"])
             if process is None or not process.has_ended:

@@ -20,16 +20,16 @@ def available_memory() -> int | None:
     On Linux the memory that is available without swapping, within the control group's limit;
     elsewhere all memory of the machine.
     """
-    found: list[int] = []
+    limits: list[int] = []
     try:
         for line in _MEMINFO.read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
-                found.append(1024 * int(line.split()[1]))
-        found.append(int(_LIMIT.read_text()) - int(_USED.read_text()))
+                limits.append(1024 * int(line.split()[1]))
+        limits.append(int(_LIMIT.read_text()) - int(_USED.read_text()))
     except (OSError, ValueError):
         pass  # another system, or no limit ("max")
-    if found:
-        return max(0, min(found))
+    if limits:
+        return max(0, min(limits))
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
@@ -59,4 +59,5 @@ def require_memory_for(count: int, each: int, what: str, path: str) -> None:
 
 
 def _gigabytes(count: int) -> str:
-    return f"{count / 1e9:,.3g} GB" if count < 1e12 else f"{count / 1e9:,.0f} GB"
+    digits = ",.3g" if count < 1e12 else ",.0f"
+    return f"{count / 1e9:{digits}} GB"

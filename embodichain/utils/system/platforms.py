@@ -1,4 +1,4 @@
-"""What works on Linux only, and what of the operating system is asked for.
+"""What works on Linux only, and what is asked of the operating system.
 
 Everything is developed and tested on Linux. macOS and Windows are untried: the package imports
 there (tested on Linux without the modules and functions of Python that they lack), and what cannot
@@ -115,8 +115,9 @@ def locked_by(descriptor: int) -> int | None:
     Returns:
         Its id; None if another machine has locked it, or where the system does not tell.
     """
-    own = os.fstat(descriptor)
-    place = f"{os.major(own.st_dev):02x}:{os.minor(own.st_dev):02x}:{own.st_ino}"
+    status = os.fstat(descriptor)
+    device = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}"
+    place = f"{device}:{status.st_ino}"
     with suppress(OSError, ValueError, IndexError):
         for line in Path("/proc/locks").read_text().splitlines():
             fields = line.split()

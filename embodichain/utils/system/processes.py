@@ -45,8 +45,10 @@ class ProcessId:
     @staticmethod
     def parse(text: str) -> ProcessId | None:
         """Return the process of a text that `str` made; None for another text."""
-        found = _PATTERN.fullmatch(text)
-        return None if found is None else ProcessId(found[1], int(found[2]), int(found[3]))
+        match = _PATTERN.fullmatch(text)
+        if match is None:
+            return None
+        return ProcessId(place=match[1], pid=int(match[2]), began=int(match[3]))
 
     @property
     def has_ended(self) -> bool:
@@ -76,7 +78,7 @@ def own_process() -> ProcessId:
 def end_with(parent: ProcessId) -> None:
     """End this process, as if it were killed, within a second of the end of another one.
 
-    A thread looks at the parent. `PR_SET_PDEATHSIG` of prctl(2) is no substitute: it fires when the
+    A thread looks at the parent. `PR_SET_PDEATHSIG` of prctl(2) does not do: it fires when the
     thread ends that started this process. Does nothing where the system does not tell when a
     process began.
 

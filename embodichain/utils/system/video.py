@@ -79,7 +79,8 @@ class Film(ABC):
         """Finish the file and return its path; if that fails, no file remains."""
         try:
             self._end()
-            path, number = self._path, 1
+            path = self._path
+            number = 1
             while os.path.lexists(path):
                 number += 1
                 path = self._path.with_name(f"{self._path.stem}_{number}{self._path.suffix}")
@@ -180,10 +181,10 @@ class VideoFile(Film):
         """The error of an encoder that has ended: the first line that it said."""
         self._said.seek(0)
         lines = self._said.read().decode(errors="replace").split("\n")
-        said = next((line for line in lines if line.strip()), "it says nothing")
-        reason = said.rpartition("] ")[2].strip()
+        first_line = next((line for line in lines if line.strip()), "it says nothing")
+        reason = first_line.rpartition("] ")[2].strip()
         for number in (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG, errno.EROFS):
-            if os.strerror(number) in said:
+            if os.strerror(number) in first_line:
                 return OSError(number, os.strerror(number), str(self._path))
         code = self._encoder.returncode
         text = f"the encoder ended with code {code}: {reason}"

@@ -16,9 +16,16 @@ from embodichain.utils.fields.no_effect import NoEffect
 __all__ = ["COMPONENTS", "URDFCfg", "URDFComponentCfg"]
 
 COMPONENTS: dict[str, str] = {
-    **dict.fromkeys(("chassis", "legs", "torso", "head"), ""),
-    **{"left_arm": "left_", "right_arm": "right_", "left_hand": "left_", "right_hand": "right_"},
-    **{"arm": "", "hand": ""},
+    "chassis": "",
+    "legs": "",
+    "torso": "",
+    "head": "",
+    "left_arm": "left_",
+    "right_arm": "right_",
+    "left_hand": "left_",
+    "right_hand": "right_",
+    "arm": "",
+    "hand": "",
 }
 """Component -> prefix of its names, in order of assembly."""
 _WRITTEN = NoEffect("robots are assembled when they are read: nothing is written")
@@ -68,13 +75,11 @@ class URDFCfg:
 
     def __post_init__(self) -> None:
         """Convert components that are plain maps."""
-        given = self.components
-        entries: list[tuple[str, Any]]
-        if isinstance(given, Mapping):
-            entries = list(given.items())
+        components = self.components
+        if isinstance(components, Mapping):
+            self.components = [_component(part, kind) for kind, part in components.items()]
         else:
-            entries = [("", component) for component in given or ()]
-        self.components = [_component(component, kind) for kind, component in entries]
+            self.components = [_component(part) for part in components or ()]
 
     def add_component(self, component_type: str, urdf_path: str, transform: Any = None) -> URDFCfg:
         """Add a component, or replace the one of the same type; returns the config."""
@@ -89,8 +94,10 @@ class URDFCfg:
 
     def parts(self) -> Sequence[URDFComponentCfg]:
         """The components as a list."""
-        given = self.components
-        return list(given.values()) if isinstance(given, dict) else given
+        components = self.components
+        if isinstance(components, dict):
+            return list(components.values())
+        return components
 
     def stem(self) -> str:
         """The joined stems of the files: the robot's name if it has no uid."""
@@ -99,10 +106,13 @@ class URDFCfg:
 
     def prefixes(self) -> dict[str, str]:
         """Component -> prefix, in order of assembly."""
-        given = dict(self.component_prefix or {})
-        return {name: given.get(name, usual) or "" for name, usual in COMPONENTS.items()}
+        prefixes = dict(self.component_prefix or {})
+        return {name: prefixes.get(name, default) or "" for name, default in COMPONENTS.items()}
 
 
-def _component(given: Any, kind: str) -> URDFComponentCfg:
-    part: URDFComponentCfg = URDFComponentCfg(**given) if isinstance(given, Mapping) else given
-    return dataclasses.replace(part, component_type=kind) if kind else part
+def _component(part: Any, kind: str = "") -> URDFComponentCfg:
+    """Return a component's config, of a plain map too; a kind replaces its own."""
+    cfg: URDFComponentCfg = URDFComponentCfg(**part) if isinstance(part, Mapping) else part
+    if kind:
+        cfg = dataclasses.replace(cfg, component_type=kind)
+    return cfg

@@ -79,16 +79,18 @@ class SceneGeometry:
             shape = _shape_of(model, geom, slices, most_triangles)
             if shape is None:
                 continue
-            part, faces = _in_patches(*shape)
+            vertices, faces = shape
+            part, faces = _in_patches(vertices, faces)
             part["geom"] = geom
             parts.append(part)
             triangles[geom] = faces + np.uint32(count)
             count += len(part)
-        planes, fields = (
-            frozenset(geom for geom in triangles if model.geom_type[geom] == kind)
-            for kind in (_PLANE, _HFIELD)
+        return cls(
+            vertices=np.concatenate(parts),
+            triangles=triangles,
+            planes=frozenset(geom for geom in triangles if model.geom_type[geom] == _PLANE),
+            fields=frozenset(geom for geom in triangles if model.geom_type[geom] == _HFIELD),
         )
-        return cls(np.concatenate(parts), triangles, planes, fields)
 
 
 def geom_scales(types: NDArray[np.int32], sizes: NDArray[Any]) -> F32:
@@ -101,7 +103,9 @@ def geom_scales(types: NDArray[np.int32], sizes: NDArray[Any]) -> F32:
         sizes: (..., ngeom, 3) `geom_size`.
     """
     scales: F32 = np.ones((*sizes.shape[:-1], 4), np.float32)
-    x, y, z = sizes[..., 0], sizes[..., 1], sizes[..., 2]
+    x = sizes[..., 0]
+    y = sizes[..., 1]
+    z = sizes[..., 2]
     scales[..., 3] = 0.0
     for kind, values in (
         (_PLANE, (np.maximum(x, 0), np.maximum(y, 0), np.ones_like(x))),
@@ -122,14 +126,17 @@ def geom_scales(types: NDArray[np.int32], sizes: NDArray[Any]) -> F32:
 def _shape_of(
     model: mujoco.MjModel, geom: int, slices: int, most_triangles: int | None
 ) -> tuple[NDArray[Any], Triangles] | None:
+    """Return the vertices and triangles of a geom; None where MuJoCo draws nothing else."""
     kind = int(model.geom_type[geom])
+    data = int(model.geom_dataid[geom])
     if kind == _MESH:
-        found = _mesh(model, int(model.geom_dataid[geom]))
-        most = len(found[1]) if most_triangles is None else most_triangles
-        textured = model.mesh_texcoordadr[int(model.geom_dataid[geom])] >= 0
-        return found if textured or len(found[1]) <= most else _simplified(*found, most)
+        vertices, triangles = _mesh(model, data)
+        has_texcoords = model.mesh_texcoordadr[data] >= 0
+        if most_triangles is None or has_texcoords or len(triangles) <= most_triangles:
+            return vertices, triangles
+        return _simplified(vertices, triangles, most_triangles)
     if kind == _HFIELD:
-        return _height_field(model, int(model.geom_dataid[geom]))
+        return _height_field(model, data)
     if kind == _PLANE:
         return _grid(1, 1, lambda u, v: (2 * u - 1, 1 - 2 * v, 0 * u), _upwards)
     if kind in (_SPHERE, _ELLIPSOID):
@@ -139,7 +146,9 @@ def _shape_of(
         return _round(slices, np.concatenate([half, half + np.pi / 2]), slices // 4)
     if kind == _CYLINDER:
         return _cylinder(slices)
-    return _box() if kind == _BOX else None
+    if kind == _BOX:
+        return _box()
+    return None
 
 
 def _in_patches(vertices: NDArray[Any], triangles: Triangles) -> tuple[NDArray[Any], Triangles]:
@@ -150,7 +159,8 @@ def _in_patches(vertices: NDArray[Any], triangles: Triangles) -> tuple[NDArray[A
     meshes, and 0.7 in this order.
     """
     middles = vertices["position"][triangles].mean(axis=1)
-    low, high = middles.min(axis=0), middles.max(axis=0)
+    low = middles.min(axis=0)
+    high = middles.max(axis=0)
     cells = ((middles - low) / max(float((high - low).max()), 1e-9) * 1023).astype(np.int64)
     curve = np.zeros(len(triangles), np.int64)
     for bit in range(10):
@@ -164,10 +174,12 @@ def _in_patches(vertices: NDArray[Any], triangles: Triangles) -> tuple[NDArray[A
 
 
 def _vertices(position: Any, normal: Any, texcoord: Any, end: Any = 0.0) -> NDArray[Any]:
-    found = np.zeros(len(position), VERTEX)
-    found["position"], found["normal"], found["texcoord"] = position, normal, texcoord
-    found["end"] = end
-    return found
+    vertices = np.zeros(len(position), VERTEX)
+    vertices["position"] = position
+    vertices["normal"] = normal
+    vertices["texcoord"] = texcoord
+    vertices["end"] = end
+    return vertices
 
 
 def _from_above(places: NDArray[Any], half: NDArray[Any]) -> NDArray[Any]:
@@ -193,7 +205,9 @@ def _quads(rows: int, columns: int) -> Triangles:
     Quads are cut from the left below to the right above, as MuJoCo's height fields are.
     """
     a = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).reshape(-1)
-    b, c, d = a + columns + 1, a + columns + 2, a + 1
+    b = a + columns + 1
+    c = a + columns + 2
+    d = a + 1
     faces = np.stack([np.stack([a, b, d], 1), np.stack([b, c, d], 1)], axis=1)
     return faces.reshape(-1, 3).astype(np.uint32)
 
@@ -204,24 +218,28 @@ def _round(
     """A unit sphere by rings of polar angles; those up to `ring` are the upper cap of a capsule."""
     stacks = len(polar) - 1
     grid = np.meshgrid(np.linspace(0, 2 * np.pi, slices + 1), polar)
-    angle, polar_of = grid[0].reshape(-1), grid[1].reshape(-1)
-    sine = np.sin(polar_of)
-    points = np.stack([sine * np.cos(angle), sine * np.sin(angle), np.cos(polar_of)], axis=1)
+    azimuth = grid[0].reshape(-1)
+    inclination = grid[1].reshape(-1)
+    sine = np.sin(inclination)
+    points = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(inclination)], axis=1)
     end: Any = 0.0
     if ring is not None:
         end = np.where(np.arange(stacks + 1) <= ring, 1.0, -1.0).repeat(slices + 1)
-    texcoord = np.stack([angle / (2 * np.pi), polar_of / np.pi], axis=1)
+    texcoord = np.stack([azimuth / (2 * np.pi), inclination / np.pi], axis=1)
     return _vertices(points, points, texcoord, end), _quads(stacks, slices)
 
 
 def _cylinder(slices: int) -> tuple[NDArray[Any], Triangles]:
     angle = np.linspace(0, 2 * np.pi, slices + 1)
-    cos, sin, one = np.cos(angle), np.sin(angle), np.ones(slices + 1)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
+    one = np.ones(slices + 1)
     parts: list[NDArray[Any]] = []
     faces: list[Triangles] = []
     start = 0
 
     def add(rings: list[tuple[float, float]], normal: Any) -> None:
+        """Add what lies between two rings, each a radius and a height."""
         nonlocal start
         points = [np.stack([r * cos, r * sin, z * one], axis=1) for r, z in rings]
         place = np.concatenate(points)
@@ -246,14 +264,14 @@ def _box() -> tuple[NDArray[Any], Triangles]:
     for axis in range(3):
         for sign in (-1.0, 1.0):
             part, quad = _grid(1, 1, lambda u, v: (2 * u - 1, 1 - 2 * v, 0 * u), _upwards)
-            turned = np.zeros((4, 3))
-            across, along = (axis + 1) % 3, (axis + 2) % 3
-            turned[:, across] = sign * part["position"][:, 0]
-            turned[:, along] = part["position"][:, 1]
-            turned[:, axis] = sign
+            corners = np.zeros((4, 3))
+            # Mirrored on the side that looks the other way, so that it is seen from outside.
+            corners[:, (axis + 1) % 3] = sign * part["position"][:, 0]
+            corners[:, (axis + 2) % 3] = part["position"][:, 1]
+            corners[:, axis] = sign
             normal = np.zeros(3)
             normal[axis] = sign
-            parts.append(_vertices(turned, normal, part["texcoord"]))
+            parts.append(_vertices(corners, normal, part["texcoord"]))
             faces.append(quad + np.uint32(4 * len(faces)))
     return np.concatenate(parts), np.concatenate(faces)
 
@@ -278,19 +296,22 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[Any], Triangles]:
     count = int(model.mesh_facenum[mesh])
     faces = model.mesh_face[face][:count].astype(np.int64)
     averaged = model.mesh_facenormal[face][:count].astype(np.int64)
-    across = _face_normals(positions, faces)
-    sharp = (normals[averaged] * across[:, None]).sum(axis=2) < 0.8
-    own = np.broadcast_to(len(normals) + np.arange(count)[:, None], faces.shape)
-    normals = np.concatenate([normals, across])
-    corners = [faces.reshape(-1), np.where(sharp, own, averaged).reshape(-1)]
+    face_normals = _face_normals(positions, faces)
+    is_sharp = (normals[averaged] * face_normals[:, None]).sum(axis=2) < 0.8
+    of_face = np.broadcast_to(len(normals) + np.arange(count)[:, None], faces.shape)
+    normals = np.concatenate([normals, face_normals])
+    corners = [faces.reshape(-1), np.where(is_sharp, of_face, averaged).reshape(-1)]
     if len(texcoords):
         corners.append(model.mesh_facetexcoord[face][:count].reshape(-1).astype(np.int64))
     unique, inverse = np.unique(np.stack(corners, axis=1), axis=0, return_inverse=True)
     places = positions[unique[:, 0]]
-    half = np.maximum(np.abs(positions).max(axis=0, initial=0.0), 1e-9)
-    texcoord = texcoords[unique[:, 2]] if len(texcoords) else _from_above(places, half)
-    found = _vertices(places, normals[unique[:, 1]], texcoord)
-    return found, inverse.reshape(-1, 3).astype(np.uint32)
+    if len(texcoords):
+        texcoord = texcoords[unique[:, 2]]
+    else:
+        half = np.maximum(np.abs(positions).max(axis=0, initial=0.0), 1e-9)
+        texcoord = _from_above(places, half)
+    vertices = _vertices(places, normals[unique[:, 1]], texcoord)
+    return vertices, inverse.reshape(-1, 3).astype(np.uint32)
 
 
 def _face_normals(points: NDArray[Any], faces: NDArray[np.int64]) -> NDArray[Any]:
@@ -318,28 +339,36 @@ def _creased(points: NDArray[Any], faces: NDArray[np.int64]) -> tuple[NDArray[An
     corners = points[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
-    # Pairs of corners at the same point, whose faces are nearly parallel.
-    at = faces.reshape(-1)
-    sharing = np.bincount(at, minlength=len(points))
-    own = np.repeat(np.arange(at.size), sharing[at])
-    turn = np.arange(own.size) - np.repeat(np.cumsum(sharing[at]) - sharing[at], sharing[at])
-    by_point, first = np.argsort(at, kind="stable"), np.cumsum(sharing) - sharing
-    other = by_point[first[at[own]] + turn]
-    alike = (unit[own // 3] * unit[other // 3]).sum(axis=1) > np.cos(np.radians(60.0))
-    normals = np.zeros((at.size, 3))
-    np.add.at(normals, own[alike], across[other[alike] // 3])
+
+    # All ordered pairs of corners that are at the same point.
+    point = faces.reshape(-1)
+    sharing = np.bincount(point, minlength=len(points))  # corners at each point
+    corner = np.repeat(np.arange(point.size), sharing[point])
+    before = np.cumsum(sharing[point]) - sharing[point]
+    turn = np.arange(corner.size) - np.repeat(before, sharing[point])
+    by_point = np.argsort(point, kind="stable")
+    first = np.cumsum(sharing) - sharing
+    other = by_point[first[point[corner]] + turn]
+
+    # A corner's normal is the mean over those whose faces are nearly parallel to its own.
+    is_smooth = (unit[corner // 3] * unit[other // 3]).sum(axis=1) > np.cos(np.radians(60.0))
+    normals = np.zeros((point.size, 3))
+    np.add.at(normals, corner[is_smooth], across[other[is_smooth] // 3])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+    # Corners that agree in point and normal are one vertex.
     rows = np.concatenate([faces.reshape(-1, 1), np.round(1e4 * normals).astype(np.int64)], axis=1)
-    _, kept, joined = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    _, unique, joined = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     half = np.maximum(np.abs(points).max(axis=0, initial=0.0), 1e-9)
-    places = points[faces.reshape(-1)[kept]]
-    found = _vertices(places, normals[kept], _from_above(places, half))
-    return found, joined.reshape(-1, 3).astype(np.uint32)
+    places = points[faces.reshape(-1)[unique]]
+    vertices = _vertices(places, normals[unique], _from_above(places, half))
+    return vertices, joined.reshape(-1, 3).astype(np.uint32)
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[Any], Triangles]:
     """The top of a height field, and nothing of its sides."""
-    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    rows = int(model.hfield_nrow[field])
+    columns = int(model.hfield_ncol[field])
     start = int(model.hfield_adr[field])
     data = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
     x, y, top, _ = model.hfield_size[field]

@@ -19,8 +19,13 @@ from embodichain.utils.errors import RenderError
 from embodichain.utils.system.display import has_display
 
 __all__ = [
-    *("VARIABLE", "Context", "NumberTexture", "Program", "VertexBuffers"),
-    *("context_class", "hint"),
+    "VARIABLE",
+    "Context",
+    "NumberTexture",
+    "Program",
+    "VertexBuffers",
+    "context_class",
+    "hint",
 ]
 
 VARIABLE = "EMBODICHAIN_RENDERER"
@@ -52,22 +57,20 @@ class Context:
         except (ImportError, AttributeError, OSError, RuntimeError) as error:
             raise RenderError(f"no picture can be made here ({error}); {hint()}") from error
         try:
-            self.vendor, self.renderer, self.version = (
-                _text(GL.glGetString(name) or b"unknown")
-                for name in (GL.GL_VENDOR, GL.GL_RENDERER, GL.GL_VERSION)
-            )
+            self.vendor = _text(GL.glGetString(GL.GL_VENDOR) or b"unknown")
+            self.renderer = _text(GL.glGetString(GL.GL_RENDERER) or b"unknown")
+            self.version = _text(GL.glGetString(GL.GL_VERSION) or b"unknown")
         except ctypes.ArgumentError as error:  # EGL is installed, libOpenGL is not
             self.close()
             raise RenderError(f"no picture can be made here ({error}); {hint()}") from error
-        version = tuple(
-            int(GL.glGetIntegerv(n)) for n in (GL.GL_MAJOR_VERSION, GL.GL_MINOR_VERSION)
-        )
+        major = int(GL.glGetIntegerv(GL.GL_MAJOR_VERSION))
+        minor = int(GL.glGetIntegerv(GL.GL_MINOR_VERSION))
         count = int(GL.glGetIntegerv(GL.GL_NUM_EXTENSIONS))
-        known = {_text(GL.glGetStringi(GL.GL_EXTENSIONS, i)) for i in range(count)}
-        if version < _VERSION or _NEEDED not in known:
+        extensions = {_text(GL.glGetStringi(GL.GL_EXTENSIONS, i)) for i in range(count)}
+        if (major, minor) < _VERSION or _NEEDED not in extensions:
             self.close()
-            found = f"OpenGL {self.version} of {self.renderer}"
-            raise RenderError(f"{found}: the batch renderer needs 4.5 and {_NEEDED}")
+            opengl = f"OpenGL {self.version} of {self.renderer}"
+            raise RenderError(f"{opengl}: the batch renderer needs 4.5 and {_NEEDED}")
         self.max_layers = min(
             int(GL.glGetIntegerv(name))
             for name in (GL.GL_MAX_ARRAY_TEXTURE_LAYERS, GL.GL_MAX_FRAMEBUFFER_LAYERS)
@@ -86,10 +89,12 @@ class Context:
 
 def hint() -> str:
     """What to do where no context can be made."""
-    first = f"{VARIABLE} is 'rays': unset it; " if os.environ.get(VARIABLE) == "rays" else ""
-    named = _named()
-    if named not in ("", "egl"):
-        return f"{first}MUJOCO_GL is {named!r}: unset it, and install {_EGL}"
+    first = ""
+    if os.environ.get(VARIABLE) == "rays":
+        first = f"{VARIABLE} is 'rays': unset it; "
+    mujoco_gl = _mujoco_gl()
+    if mujoco_gl not in ("", "egl"):
+        return f"{first}MUJOCO_GL is {mujoco_gl!r}: unset it, and install {_EGL}"
     needs = f"off-screen rendering needs {_EGL}"
     return f"{first}{needs}, or set MUJOCO_GL to a library that works here"
 
@@ -102,8 +107,8 @@ def context_class() -> Any:
     Raises:
         RuntimeError: If MUJOCO_GL turns OpenGL off, or GLFW has no display.
     """
-    named = _named()
-    if sys.platform.startswith("linux") and not named:
+    mujoco_gl = _mujoco_gl()
+    if sys.platform.startswith("linux") and not mujoco_gl:
         from mujoco.egl import GLContext
 
         return GLContext
@@ -111,13 +116,13 @@ def context_class() -> Any:
 
     if not hasattr(mujoco, "GLContext"):
         raise RuntimeError("MUJOCO_GL turns OpenGL off")
-    if named not in _WITHOUT_DISPLAY and not has_display():
+    if mujoco_gl not in _WITHOUT_DISPLAY and not has_display():
         raise RuntimeError("GLFW needs a display")
     return mujoco.GLContext
 
 
-def _named() -> str:
-    """MUJOCO_GL, as MuJoCo reads it."""
+def _mujoco_gl() -> str:
+    """Return MUJOCO_GL, as MuJoCo reads it."""
     return os.environ.get("MUJOCO_GL", "").lower().strip()
 
 
@@ -140,7 +145,8 @@ class Program:
         from OpenGL import GL
 
         sources = [(GL.GL_VERTEX_SHADER, vertex)]
-        sources += [(GL.GL_FRAGMENT_SHADER, fragment)] if fragment else []
+        if fragment:
+            sources.append((GL.GL_FRAGMENT_SHADER, fragment))
         self._program = GL.glCreateProgram()
         for kind, source in sources:
             shader = GL.glCreateShader(kind)
@@ -153,7 +159,7 @@ class Program:
         GL.glLinkProgram(self._program)
         if not GL.glGetProgramiv(self._program, GL.GL_LINK_STATUS):
             raise RenderError(f"a program: {_text(GL.glGetProgramInfoLog(self._program))}")
-        self._places: dict[str, int] = {}
+        self._locations: dict[str, int] = {}
         self._values: dict[str, Any] = {}
 
     def use(self, values: Mapping[str, int | float | tuple[float, float, float]]) -> None:
@@ -165,17 +171,18 @@ class Program:
             if self._values.get(name) == value:
                 continue
             self._values[name] = value
-            place = self._places.get(name)
-            if place is None:
-                place = self._places[name] = GL.glGetUniformLocation(self._program, name)
-            if place < 0:
+            location = self._locations.get(name)
+            if location is None:
+                location = GL.glGetUniformLocation(self._program, name)
+                self._locations[name] = location
+            if location < 0:
                 continue
             if isinstance(value, int):
-                GL.glUniform1i(place, value)
+                GL.glUniform1i(location, value)
             elif isinstance(value, float):
-                GL.glUniform1f(place, value)
+                GL.glUniform1f(location, value)
             else:
-                GL.glUniform3f(place, *value)
+                GL.glUniform3f(location, *value)
 
     def close(self) -> None:
         """Free it."""
@@ -194,7 +201,8 @@ class NumberTexture:
     def __init__(self, unit: int) -> None:
         from OpenGL import GL
 
-        self._buffer, self._texture = GL.glGenBuffers(1), GL.glGenTextures(1)
+        self._buffer = GL.glGenBuffers(1)
+        self._texture = GL.glGenTextures(1)
         GL.glBindBuffer(GL.GL_TEXTURE_BUFFER, self._buffer)
         GL.glActiveTexture(GL.GL_TEXTURE0 + unit)
         GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
@@ -234,12 +242,17 @@ class VertexBuffers:
         self._vertices = GL.glGenBuffers(1)
         GL.glBindBuffer(GL.GL_ARRAY_BUFFER, self._vertices)
         GL.glBufferData(GL.GL_ARRAY_BUFFER, vertices.nbytes, vertices, GL.GL_STATIC_DRAW)
-        fields = (vertices.dtype.fields or {}).values()
-        for place, (kind, offset) in enumerate(field[:2] for field in fields):
-            size = int(np.prod(kind.shape, dtype=np.int64))
-            GL.glEnableVertexAttribArray(place)
-            start = ctypes.c_void_p(offset)
-            GL.glVertexAttribPointer(place, size, GL.GL_FLOAT, False, vertices.itemsize, start)
+        fields: Mapping[str, Any] = vertices.dtype.fields or {}
+        for location, (kind, offset, *_) in enumerate(fields.values()):
+            GL.glEnableVertexAttribArray(location)
+            GL.glVertexAttribPointer(
+                location,
+                int(np.prod(kind.shape, dtype=np.int64)),
+                GL.GL_FLOAT,
+                False,
+                vertices.itemsize,
+                ctypes.c_void_p(offset),
+            )
         self._lists: dict[Hashable, tuple[Any, int]] = {}
 
     def has(self, key: Hashable) -> bool:

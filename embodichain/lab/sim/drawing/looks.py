@@ -60,8 +60,10 @@ class SurfaceTable:
     """
 
     def __init__(self, model: mujoco.MjModel, texture_layers: NDArray[np.int64]) -> None:
-        self._model, self._layers = model, texture_layers
-        self._fields = {**_FIELDS, **(_MATERIAL_FIELDS if model.nmat else {})}
+        self._model = model
+        self._layers = texture_layers
+        # Field -> its width, 0 of one that has a number for each geom.
+        self._fields = _FIELDS | _MATERIAL_FIELDS if model.nmat else _FIELDS
         self._same = Unchanged()
         self.table = np.zeros((0, 0, 4, 4), np.float32)
         self.textured: NDArray[Any] = np.zeros((0, 2), bool)
@@ -72,16 +74,18 @@ class SurfaceTable:
         values = {name: state.model_values(name) for name in self._fields}
         if self._same(list(values.values())):
             return
-        fields = {
-            name: values[name].reshape(len(values[name]), -1, *([width] if width else []))
-            for name, width in self._fields.items()
-        }
-        count = max(len(value) for value in fields.values())
-        fields = {n: np.broadcast_to(v, (count, *v.shape[1:])) for n, v in fields.items()}
+        count = max(len(value) for value in values.values())
+        fields: dict[str, NDArray[Any]] = {}
+        for name, width in self._fields.items():
+            value: NDArray[Any] = values[name].reshape(len(values[name]), -1)
+            if width:
+                value = value.reshape(len(value), -1, width)
+            fields[name] = np.broadcast_to(value, (count, *value.shape[1:]))
         table = np.zeros((count, self._model.ngeom, 4, 4), np.float32)
         table[..., 0, :] = geom_scales(self._model.geom_type, fields["geom_size"])
         table[..., 1, :] = fields["geom_rgba"]
-        table[..., 2, :] = *_DEFAULT_FINISH, -1.0
+        table[..., 2, :3] = _DEFAULT_FINISH
+        table[..., 2, 3] = -1.0
         table[..., 3, 2] = -1.0
         if self._model.nmat:
             self._put_materials(fields, table)
@@ -91,19 +95,24 @@ class SurfaceTable:
         self.transparent = np.any((alpha > 0) & (alpha < 1), axis=0)
 
     def _put_materials(self, fields: dict[str, Any], table: NDArray[np.float32]) -> None:
+        """Overwrite the defaults of geoms that have a material."""
         env, geom = np.nonzero(fields["geom_matid"] >= 0)
         material = fields["geom_matid"][env, geom]
+        colour = fields["mat_rgba"][env, material]
+        table[env, geom, 1] = _shown_colour(fields["geom_rgba"][env, geom], colour)
+        table[env, geom, 2, 0] = fields["mat_specular"][env, material]
+        table[env, geom, 2, 1] = fields["mat_shininess"][env, material]
+        table[env, geom, 2, 2] = fields["mat_emission"][env, material]
 
-        def of(name: str) -> NDArray[Any]:
-            return fields[name][env, material]
-
-        table[env, geom, 1] = _shown_colour(fields["geom_rgba"][env, geom], of("mat_rgba"))
-        for column, name in enumerate(("mat_specular", "mat_shininess", "mat_emission")):
-            table[env, geom, 2, column] = of(name)
-        texture = of("mat_texid")[:, _RGB]
-        has = texture >= 0
-        repeat, uniform = of("mat_texrepeat")[has], of("mat_texuniform")[has]
-        env, geom, texture = env[has], geom[has], texture[has]
+        # Of these, geoms whose material has a texture.
+        texture = fields["mat_texid"][env, material, _RGB]
+        has_texture = texture >= 0
+        texture = texture[has_texture]
+        env = env[has_texture]
+        geom = geom[has_texture]
+        material = material[has_texture]
+        repeat = fields["mat_texrepeat"][env, material]
+        uniform = fields["mat_texuniform"][env, material]
         table[env, geom, 2, 3] = self._layers[texture, 0]
         table[env, geom, 3, 2] = self._layers[texture, 1]
         table[env, geom, 3, :2] = repeat
@@ -117,22 +126,21 @@ def opaque_geoms(state: DrawnState, model: mujoco.MjModel) -> NDArray[np.bool_]:
         state: The environments.
         model: The compiled scene.
     """
-    names = ["geom_rgba", "geom_matid", "mat_rgba"] if model.nmat else ["geom_rgba"]
-    fields = {name: np.asarray(state.model_values(name)) for name in names}
-    count = max(len(value) for value in fields.values())
-    rgba = fields["geom_rgba"].reshape(len(fields["geom_rgba"]), -1, 4)
-    rgba = np.broadcast_to(rgba, (count, model.ngeom, 4)).copy()
+    rgba = np.asarray(state.model_values("geom_rgba"))
+    rgba = rgba.reshape(len(rgba), -1, 4)
     if model.nmat:
-        ids = np.broadcast_to(fields["geom_matid"].reshape(-1, model.ngeom), (count, model.ngeom))
+        ids = np.asarray(state.model_values("geom_matid")).reshape(-1, model.ngeom)
+        materials = np.asarray(state.model_values("mat_rgba")).reshape(-1, model.nmat, 4)
+        count = max(len(rgba), len(ids), len(materials))
+        rgba = np.broadcast_to(rgba, (count, model.ngeom, 4)).copy()
+        ids = np.broadcast_to(ids, (count, model.ngeom))
+        materials = np.broadcast_to(materials, (count, model.nmat, 4))
         env, geom = np.nonzero(ids >= 0)
-        materials = np.broadcast_to(
-            fields["mat_rgba"].reshape(-1, model.nmat, 4), (count, model.nmat, 4)
-        )
         rgba[env, geom] = _shown_colour(rgba[env, geom], materials[env, ids[env, geom]])
     return rgba[..., 3] >= 1.0
 
 
-def _shown_colour(own: NDArray[Any], material: NDArray[Any]) -> NDArray[Any]:
+def _shown_colour(colour: NDArray[Any], material: NDArray[Any]) -> NDArray[Any]:
     """(n, 4) a geom's own colour where it is another than MuJoCo's default, else its material's."""
-    default = np.isclose(own, _DEFAULT_COLOUR, atol=1e-6).all(axis=1)
-    return np.where(default[:, None], material, own)
+    is_default = np.isclose(colour, _DEFAULT_COLOUR, atol=1e-6).all(axis=1)
+    return np.where(is_default[:, None], material, colour)

@@ -98,9 +98,10 @@ class OffscreenRenderer:
 
         Raises:
             RenderError: If colour cannot be drawn here; names the packages to install.
-            ValueError: If there is no such camera, or it is no pinhole camera.
+            ValueError: If there is no such camera, or it is not a pinhole camera.
         """
-        view = view_of(state, camera, *size, look="full")
+        width, height = size
+        view = view_of(state, camera, width, height, look="full")
         color: NDArray[np.uint8] = self.draw(state, [view], envs)[0]["color"]
         return np.ascontiguousarray(color[..., :3])
 
@@ -184,14 +185,14 @@ _RENDERERS: dict[str, Callable[[mujoco.MjModel], Opened]] = {
 
 def _kinds() -> list[str]:
     """The renderers to try, best first."""
-    named = os.environ.get(VARIABLE)
-    if not named:
+    kind = os.environ.get(VARIABLE)
+    if not kind:
         return list(_RENDERERS)
-    if named not in _RENDERERS:
-        message = f"no renderer {named!r}; allowed: {', '.join(_RENDERERS)}."
-        problem = Problem(VARIABLE, message, did_you_mean(named, _RENDERERS).strip())
+    if kind not in _RENDERERS:
+        message = f"no renderer {kind!r}; allowed: {', '.join(_RENDERERS)}."
+        problem = Problem(VARIABLE, message, did_you_mean(kind, _RENDERERS).strip())
         raise ConfigError([problem.at("environment variable")])
-    return [named]
+    return [kind]
 
 
 def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> tuple[Opened, str | None]:
@@ -199,15 +200,15 @@ def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> tuple[Opened, str | No
 
     Called in the render thread.
     """
-    error: RenderError | None = None
+    first_error: RenderError | None = None
     for kind in kinds:
         try:
             opened = _RENDERERS[kind](model)
-        except RenderError as found:
-            error = error or found
+        except RenderError as error:
+            first_error = first_error or error
         else:
-            return opened, str(error) if error is not None else None
-    raise error or RenderError("there is no renderer")
+            return opened, None if first_error is None else str(first_error)
+    raise first_error or RenderError("there is no renderer")
 
 
 @cache

@@ -79,13 +79,17 @@ class RayRenderer:
             raise RenderError("colours need OpenGL, and rays draw here")
         if not isinstance(state, CastingState):
             raise RenderError("stored states need OpenGL, and rays draw here")
-        wanted = np.arange(state.num_envs) if envs is None else envs
-        rows, places = np.unique(wanted, return_inverse=True)  # rays are cast in sorted ones
+        if envs is None:
+            envs = np.arange(state.num_envs)
+        rows, places = np.unique(envs, return_inverse=True)  # rays are cast in sorted ones
         geoms = opaque_geoms(state, self._model) & self._visible
-        drawn = [_draw(state, view, rows, geoms) for view in views]
-        if np.array_equal(rows, wanted):
-            return drawn
-        return [{name: values[places] for name, values in made.items()} for made in drawn]
+        pictures = [_draw(state, view, rows, geoms) for view in views]
+        if np.array_equal(rows, envs):
+            return pictures
+        return [
+            {name: values[places] for name, values in pictures_of_view.items()}
+            for pictures_of_view in pictures
+        ]
 
     def close(self) -> None:
         """No effect: it has no memory of its own."""
@@ -106,16 +110,17 @@ def _draw(
     pixels = optics.width * optics.height
     depth = np.empty((len(rows), pixels), np.float32)
     mask = np.empty((len(rows), pixels), np.int32)
-    for part, hit_there in _parts(rows, geoms, max(1, _RAYS_AT_ONCE // pixels)):
+    for part, part_geoms in _parts(rows, geoms, max(1, _RAYS_AT_ONCE // pixels)):
         eye, ray = _rays(view, rows[part])
-        found = state.cast_rays(eye + optics.near * ray, ray, hit_there, rows[part])
+        hits = state.cast_rays(eye + optics.near * ray, ray, part_geoms, rows[part])
         # Rays are 1 m long along the axis, so that distances in their lengths are depths.
-        along = found.distance + optics.near
-        hit = (found.distance >= 0.0) & (along <= optics.far)
-        depth[part], mask[part] = np.where(hit, along, 0.0), np.where(hit, found.geom, -1)
-    size = len(rows), optics.height, optics.width
-    made = {"depth": depth.reshape(size), "mask": mask.reshape(size)}
-    return {name: made[name] for name in view.outputs}
+        distance = hits.distance + optics.near
+        is_hit = (hits.distance >= 0.0) & (distance <= optics.far)
+        depth[part] = np.where(is_hit, distance, 0.0)
+        mask[part] = np.where(is_hit, hits.geom, -1)
+    size = (len(rows), optics.height, optics.width)
+    pictures: Pictures = {"depth": depth.reshape(size), "mask": mask.reshape(size)}
+    return {name: pictures[name] for name in view.outputs}
 
 
 def _parts(
@@ -135,14 +140,18 @@ def _parts(
 
 def _rays(view: View, rows: NDArray[np.int64]) -> tuple[F64, F64]:
     """(n, 1, 3) positions of the camera, and (n, H W, 3) rays of 1 m along its axis."""
-    position, axes, lens = (
-        values if len(values) == 1 else values[rows]
-        for values in (np.asarray(view.position), np.asarray(view.axes), view.lens)
-    )
+    position = _of_rows(np.asarray(view.position), rows)
+    axes = _of_rows(np.asarray(view.axes), rows).reshape(-1, 1, 1, 3, 3)
+    lens = _of_rows(view.lens, rows)
     fx, fy, cx, cy = (lens[:, i, None] for i in range(4))
-    right = (np.arange(view.optics.width) + 0.5 - cx) / fx
-    up = (cy - np.arange(view.optics.height) - 0.5) / fy
-    across, above = right[:, None, :, None], up[:, :, None, None]
-    to = axes.reshape(-1, 1, 1, 3, 3)
-    rays: F64 = across * to[..., 0] + above * to[..., 1] - to[..., 2]
+    right = ((np.arange(view.optics.width) + 0.5 - cx) / fx)[:, None, :, None]
+    up = ((cy - np.arange(view.optics.height) - 0.5) / fy)[:, :, None, None]
+    rays: F64 = right * axes[..., 0] + up * axes[..., 1] - axes[..., 2]
     return position[:, None], rays.reshape(len(rays), -1, 3)
+
+
+def _of_rows(values: F64, rows: NDArray[np.int64]) -> F64:
+    """Return the values of some environments; a single row is that of all."""
+    if len(values) == 1:
+        return values
+    return values[rows]

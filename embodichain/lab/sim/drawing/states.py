@@ -69,8 +69,12 @@ class StoredStates:
     def append(self, state: DrawnState, env: int = 0) -> None:
         """Store what one environment of `state`, whose scene is the same, looks like now."""
         self._poses.append({name: state.derived(name)[env].copy() for name in DRAWN_POSES})
-        fields = {name: state.model_values(name) for name in DRAWN_FIELDS}
-        self._fields.append({k: v[env if len(v) > 1 else 0].copy() for k, v in fields.items()})
+        fields: dict[str, NDArray[Any]] = {}
+        for name in DRAWN_FIELDS:
+            values = state.model_values(name)
+            is_shared = len(values) == 1
+            fields[name] = values[0 if is_shared else env].copy()
+        self._fields.append(fields)
 
     def clear(self) -> None:
         """Remove all stored environments."""
@@ -86,4 +90,6 @@ class StoredStates:
         if name not in DRAWN_FIELDS:
             return np.asarray(getattr(self.model, name))[None]
         rows = np.stack([fields[name] for fields in self._fields])
-        return rows[:1] if (rows == rows[0]).all() else rows
+        if (rows == rows[0]).all():
+            return rows[:1]
+        return rows

@@ -94,7 +94,7 @@ class View:
         position: (N or 1, 3) m.
         axes: (N or 1, 3, 3) rotation matrix: columns are right, up and backwards (OpenGL).
         focal: (N, 2) fx, fy in pixels instead of those of `optics`, or None.
-        outputs: What is wanted.
+        outputs: Of ``color``, ``depth``, ``mask``.
         look: ``fast`` or ``full``.
         centre: (N, 2) cx, cy in pixels instead of those of `optics`, or None.
     """
@@ -112,9 +112,10 @@ class View:
         """(N or 1, 4) fx, fy, cx, cy in pixels."""
         focal = np.asarray(self.optics.focal)[None] if self.focal is None else self.focal
         centre = np.asarray(self.optics.centre)[None] if self.centre is None else self.centre
-        found = np.empty((max(len(focal), len(centre)), 4))
-        found[:, :2], found[:, 2:] = focal, centre
-        return found
+        lens = np.empty((max(len(focal), len(centre)), 4))
+        lens[:, :2] = focal
+        lens[:, 2:] = centre
+        return lens
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,19 +201,22 @@ def camera_id(model: mujoco.MjModel, camera: str | int) -> int:
         ValueError: If there is no such camera; lists the cameras.
     """
     names = [model.camera(i).name for i in range(model.ncam)]
-    known = names if isinstance(camera, str) else range(len(names))
-    if camera not in known:
-        raise ValueError(
-            f"no camera {camera!r}; there are: {', '.join(names) or 'none'}."
-            f"{did_you_mean(str(camera), names)}"
-        )
-    return names.index(camera) if isinstance(camera, str) else camera
+    if isinstance(camera, str) and camera in names:
+        return names.index(camera)
+    if not isinstance(camera, str) and camera in range(len(names)):
+        return camera
+    raise ValueError(
+        f"no camera {camera!r}; there are: {', '.join(names) or 'none'}."
+        f"{did_you_mean(str(camera), names)}"
+    )
 
 
 def camera_size(model: mujoco.MjModel, camera: int) -> tuple[int, int]:
     """Width and height in pixels of a camera of the scene; 640 x 480 if it has no resolution."""
     width, height = model.cam_resolution[camera].tolist()
-    return (width, height) if min(width, height) > 1 else (640, 480)
+    if min(width, height) <= 1:  # MuJoCo's default is 1 x 1
+        return (640, 480)
+    return (width, height)
 
 
 def lens_of(
@@ -244,7 +248,8 @@ def lens_of(
     sensor = np.asarray(model.cam_sensorsize[camera], np.float64)
     if sensor.all():
         intrinsic = values("cam_intrinsic")[:, camera].astype(np.float64)
-        focal, offset = intrinsic[:, :2] / sensor * pixels, intrinsic[:, 2:] / sensor * pixels
+        focal = intrinsic[:, :2] / sensor * pixels
+        offset = intrinsic[:, 2:] / sensor * pixels
         centre = 0.5 * pixels - offset
     else:
         fovy = values("cam_fovy")[:, camera].astype(np.float64)
@@ -277,24 +282,43 @@ def view_of(
         height: Pixels.
         near: Metres along the axis; None is the model's ``vis.map.znear``, in units of its extent.
         far: Likewise; None is ``vis.map.zfar``.
-        outputs: What is wanted.
+        outputs: Of ``color``, ``depth``, ``mask``.
         look: ``fast`` or ``full``.
 
     Raises:
         ValueError: If there is no such camera, or it is orthographic.
     """
     model = state.model
-    near = model.vis.map.znear * model.stat.extent if near is None else near
-    far = model.vis.map.zfar * model.stat.extent if far is None else far
+    if near is None:
+        near = model.vis.map.znear * model.stat.extent
+    if far is None:
+        far = model.vis.map.zfar * model.stat.extent
     if isinstance(camera, Viewpoint):
-        optics = Optics.of_fovy(width, height, camera.fovy, near, far)
-        return View(optics, camera.position, camera.axes, None, outputs, look)
+        return View(
+            optics=Optics.of_fovy(width, height, camera.fovy, near=near, far=far),
+            position=camera.position,
+            axes=camera.axes,
+            outputs=outputs,
+            look=look,
+        )
     index = camera_id(model, camera)
-    lens = lens_of(model, index, width, height, state.model_values)
-    focal, centre = lens[:, :2], lens[:, 2:]
-    first = (focal[0, 0], focal[0, 1]), (centre[0, 0], centre[0, 1])
-    optics = Optics(width, height, *first, near, far)
-    position = state.derived("cam_xpos")[:, index]
-    axes = state.derived("cam_xmat").reshape(state.num_envs, -1, 3, 3)[:, index]
-    own = (focal, centre) if len(focal) > 1 else (None, None)
-    return View(optics, position, axes, own[0], outputs, look, own[1])
+    lens = lens_of(model, index, width, height, values=state.model_values)
+    focal = lens[:, :2]
+    centre = lens[:, 2:]
+    differs = len(lens) > 1
+    return View(
+        optics=Optics(
+            width=width,
+            height=height,
+            focal=(focal[0, 0], focal[0, 1]),
+            centre=(centre[0, 0], centre[0, 1]),
+            near=near,
+            far=far,
+        ),
+        position=state.derived("cam_xpos")[:, index],
+        axes=state.derived("cam_xmat").reshape(state.num_envs, -1, 3, 3)[:, index],
+        focal=focal if differs else None,
+        centre=centre if differs else None,
+        outputs=outputs,
+        look=look,
+    )

@@ -133,31 +133,40 @@ class ModelFields:
                     f"no model field {name!r} that can differ between environments."
                     f"{did_you_mean(name, mjbatch.MODEL_FIELDS)}"
                 )
-            view = self._views[name] = self._expand(name)
+            view = self._expand(name)
+            self._views[name] = view
             if name in _RESET_FIELDS or any(word in name for word in _RESET_WORDS):
                 self.resets_alike = False
         return view
 
     def values(self, name: str) -> NDArray[Any]:
         """(N, ...) values of an expanded field, (1, ...) of another."""
-        found = self._batch.expanded(name) if name in mjbatch.MODEL_FIELDS else None
-        return compiled_field(self._batch.model, name)[None] if found is None else found
+        if name in mjbatch.MODEL_FIELDS:
+            values: NDArray[Any] | None = self._batch.expanded(name)
+            if values is not None:
+                return values
+        return compiled_field(self._batch.model, name)[None]
 
     def internal(self, name: str) -> NDArray[Any]:
         """(N, size) live values of a field that the engine changes for one call of the batch.
 
         The field does not count as expanded.
         """
-        found = self._internal.get(name)
-        if found is None:
-            found = self._internal[name] = self._expand(name)
-        return found
+        view = self._internal.get(name)
+        if view is None:
+            view = self._expand(name)
+            self._internal[name] = view
+        return view
 
     def expanded(self) -> dict[str, NDArray[Any]]:
         """Name -> (N, ...) values of all expanded fields, derived ones included."""
-        names = mjbatch.MODEL_FIELDS - (self._internal.keys() - self._views.keys())
-        found = {name: self._batch.expanded(name) for name in sorted(names)}
-        return {name: values for name, values in found.items() if values is not None}
+        only_internal = self._internal.keys() - self._views.keys()
+        fields: dict[str, NDArray[Any]] = {}
+        for name in sorted(mjbatch.MODEL_FIELDS - only_internal):
+            values = self._batch.expanded(name)
+            if values is not None:
+                fields[name] = values
+        return fields
 
     def default(self, name: str) -> NDArray[Any]:
         """(size,) compiled values of a field, as many as `view` has."""

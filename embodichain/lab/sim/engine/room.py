@@ -21,5 +21,5 @@ def bytes_of(model: mujoco.MjModel, persistent: bool | None) -> int:
         persistent: Whether each environment has an `MjData` of its own.
     """
     numbers = int(mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION)))
-    own = int(mujoco.MjData(model).nbuffer) if persistent else 0
-    return max(LEAST_BYTES, 8 * _COPIES * numbers + own)
+    data_bytes = int(mujoco.MjData(model).nbuffer) if persistent else 0
+    return max(LEAST_BYTES, 8 * _COPIES * numbers + data_bytes)

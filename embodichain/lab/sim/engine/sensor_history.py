@@ -25,7 +25,8 @@ class SensorHistory:
     """
 
     def __init__(self, num_envs: int, put: Callable[[NDArray[Any]], Any]) -> None:
-        self._num_envs, self._put = num_envs, put
+        self._num_envs = num_envs
+        self._put = put
         # Arrays are written in place: a recorded step (`StepGraph`) finds them at their address.
         self._parts: dict[_Key, Any] = {}
         self._fresh = put(np.ones(num_envs, np.bool_))

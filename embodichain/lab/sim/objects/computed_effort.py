@@ -40,15 +40,16 @@ class ComputedEfforts:
     """
 
     def __init__(self, asset: Articulation, joints: NDArray[np.int64]) -> None:
-        self._asset, self._joints = asset, joints
+        self._asset = asset
+        self._joints = joints
         self._engine = asset.engine
         model = self._engine.model
-        self._dofs = columns_of(np.asarray(asset.entity.dof_adr, np.int64)[joints])
-        of_joint = model.dof_jntid[np.asarray(asset.entity.dof_adr, np.int64)[joints]]
-        self._limited: NDArray[np.bool_] = model.jnt_actfrclimited[of_joint] != 0
+        dofs = np.asarray(asset.entity.dof_adr, np.int64)[joints]
+        model_joints = model.dof_jntid[dofs]
+        self._dofs = columns_of(dofs)
+        self._limited: NDArray[np.bool_] = model.jnt_actfrclimited[model_joints] != 0
         self._actuators: list[list[int]] = [
-            [a for a in range(model.nu) if _is_linear(model, a) and model.actuator_trnid[a, 0] == j]
-            for j in of_joint
+            _linear_actuators(model, joint) for joint in model_joints.tolist()
         ]
         # The first request of an acceleration field computes it, so make it here.
         for field in ("actuator_length", "actuator_velocity", "actuator_force"):
@@ -58,13 +59,13 @@ class ComputedEfforts:
         """(N, K) N m or N; efforts applied from outside (`set_qf`, effort actions) included."""
         engine = self._engine
         actual = engine.acceleration("qfrc_actuator")[:, self._dofs]
-        asked = [
-            self._of_joint(actual[:, i], found, bool(self._limited[i]))
-            for i, found in enumerate(self._actuators)
+        efforts = [
+            self._of_joint(actual[:, i], actuators, bool(self._limited[i]))
+            for i, actuators in enumerate(self._actuators)
         ]
         applied = engine.state("qfrc_applied")[:, self._dofs]
         cut: Floats = self._asset.drives.cut_effort[:, self._joints]
-        return np.stack(asked, axis=1) + applied + cut
+        return np.stack(efforts, axis=1) + applied + cut
 
     def _of_joint(self, actual: Floats, actuators: list[int], limited: bool) -> Floats:
         """(N,) of actuators of one joint; other forces count as they are, unless cut together."""
@@ -77,14 +78,15 @@ class ComputedEfforts:
             total = np.zeros_like(actual)
         for actuator in actuators:
             gear = float(gears[actuator])
-            total = total + gear * self._wanted(actuator)
+            total = total + gear * self._unlimited_force(actuator)
             if not limited:
                 total = total - gear * forces[:, actuator]
         return total
 
-    def _wanted(self, actuator: int) -> Floats:
+    def _unlimited_force(self, actuator: int) -> Floats:
         """(N,) force of an actuator before its limit, N m or N."""
-        engine, model = self._engine, self._engine.model
+        engine = self._engine
+        model = engine.model
         control: Any = engine.state("ctrl")[:, actuator]
         if model.actuator_ctrllimited[actuator]:
             low, high = model.actuator_ctrlrange[actuator]
@@ -96,8 +98,16 @@ class ComputedEfforts:
         bias = engine.model_values("actuator_biasprm")[:, actuator]
         length = engine.acceleration("actuator_length")[:, actuator]
         velocity = engine.acceleration("actuator_velocity")[:, actuator]
-        force = force + bias[:, 0] + bias[:, 1] * length + bias[:, 2] * velocity
-        return force
+        return force + bias[:, 0] + bias[:, 1] * length + bias[:, 2] * velocity
+
+
+def _linear_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
+    """The actuators on a joint (MuJoCo's id) whose force is linear."""
+    return [
+        actuator
+        for actuator in range(model.nu)
+        if _is_linear(model, actuator) and model.actuator_trnid[actuator, 0] == joint
+    ]
 
 
 def _is_linear(model: mujoco.MjModel, actuator: int) -> bool:

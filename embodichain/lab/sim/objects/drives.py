@@ -116,7 +116,8 @@ class Drives:
     def __init__(self, handle: Handle[EntityIndex], parsed: ParsedArticulation) -> None:
         self.parsed = parsed
         self._handle = handle
-        count, self._arrays = handle.num_instances, handle.host.arrays
+        self._arrays = handle.host.arrays
+        count = handle.num_instances
         for name in (*GAINS, "joint_damping"):
             setattr(self, name, self._arrays.put(np.tile(getattr(parsed, name), (count, 1))))
         self.strength: Floats = np.ones_like(self.stiffness)
@@ -133,9 +134,10 @@ class Drives:
         self._rated = False  # whether a drive has a `max_velocity`
         self._springless = False  # whether a drive has no stiffness: its control is a velocity
         self._limits_vary = False  # whether environments limit efforts of different joints
-        servos = parsed.servos
-        self._gear, self._scale, self._shares = servos.gear, servos.scale, servos.shares
-        self._scaled = bool((servos.scale != 1).any())  # whether units of controls differ
+        self._gear = parsed.servos.gear
+        self._scale = parsed.servos.scale
+        self._shares = parsed.servos.shares
+        self._scaled = bool((self._scale != 1).any())  # whether units of controls differ
 
     def bind(self) -> None:
         """Look up which joints have a drive; called once the scene is compiled."""
@@ -186,7 +188,8 @@ class Drives:
 
     def _mixed(self, target: Floats, where: Any) -> Floats:
         """As `_control`, in units of the joint."""
-        stiffness, velocity = self.stiffness[where], self.target_qvel[where]
+        stiffness = self.stiffness[where]
+        velocity = self.target_qvel[where]
         ratio = np.divide(
             self.damping[where], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0
         )
@@ -194,16 +197,18 @@ class Drives:
 
     def read_target_qpos(self) -> Floats:
         """(N, D) position targets; the joint's position where a drive has no stiffness."""
-        engine, index, driven = self._handle.engine, self._handle.index, self.joints
-        out = engine.state("qpos")[:, index.qpos_adr]
+        engine = self._handle.engine
+        index = self._handle.index
+        driven = self.joints
+        target = engine.state("qpos")[:, index.qpos_adr]
         control = engine.state("ctrl")[:, index.ctrl_ids[driven]]
         if self._mixes:
             where = (slice(None), driven)
             control = control / self._scale[driven]
             lead = self._mixed(np.zeros_like(control), where)
-            control = np.where(self.stiffness[where] > 0, control - lead, out[where])
-        out[:, driven] = control
-        return out
+            control = np.where(self.stiffness[where] > 0, control - lead, target[where])
+        target[:, driven] = control
+        return target
 
     def within_rate(
         self, target: Floats, joints: Joints, seconds: float, ids: EnvIndex | None = None
@@ -213,12 +218,13 @@ class Drives:
             return target
         where = _at(ids, joints)
         reach = self.max_velocity[where] * seconds
-        now = self.read_target_qpos()[where]
-        return np.minimum(np.maximum(target, now - reach), now + reach)
+        present = self.read_target_qpos()[where]
+        return np.minimum(np.maximum(target, present - reach), present + reach)
 
     def write_target_qvel(self, target: Floats, joints: Joints, ids: EnvIndex | None) -> None:
         """Set velocity targets (n, k) and update the controls."""
-        columns, where = self.columns(joints), _at(ids, joints)
+        columns = self.columns(joints)
+        where = _at(ids, joints)
         position = self.read_target_qpos()[where]
         self.target_qvel[where] = target
         self._note_velocities()
@@ -228,9 +234,11 @@ class Drives:
     def _write_velocity_servos(self, joints: Joints, ids: EnvIndex | None) -> None:
         """Write the targets of velocity servos that act beside position servos."""
         columns = self._handle.index.velocity_ctrl_ids[joints]
-        if not (columns >= 0).any():
+        has_servo = columns >= 0
+        if not has_servo.any():
             return
-        joints, columns = joints[columns >= 0], columns[columns >= 0]
+        joints = joints[has_servo]
+        columns = columns[has_servo]
         target = self.target_qvel[_at(ids, joints)] * self.parsed.servos.velocity_scale[joints]
         self._handle.engine.write("ctrl", target, ids, columns)
 
@@ -252,37 +260,43 @@ class Drives:
             return control
         joints = self._joint_of_control[columns[drives]]
         out = control.astype(np.float64)
-        where, given = _at(ids, joints), out[:, drives]
-        stiff = self.stiffness[where] > 0
-        target = asked = given / self._scale[joints]
+        where = _at(ids, joints)
+        drive_control = out[:, drives]
+        has_stiffness = self.stiffness[where] > 0
+        asked = drive_control / self._scale[joints]
+        target = asked
         if seconds is not None:
-            most = self.max_velocity[where]
-            slow = self.within_rate(target, joints, seconds, ids)
-            target = np.where(stiff, slow, np.minimum(np.maximum(target, -most), most))
+            fastest = self.max_velocity[where]
+            position = self.within_rate(target, joints, seconds, ids)
+            velocity = np.minimum(np.maximum(target, -fastest), fastest)
+            target = np.where(has_stiffness, position, velocity)
         if self._mixes:
-            self.target_qvel[where] = np.where(stiff, 0.0, target)
+            self.target_qvel[where] = np.where(has_stiffness, 0.0, target)
             self._note_velocities()
         clamped = self.limits.clamp(target, joints, ids)
-        target = np.where(stiff & self.parsed.driven[joints], clamped, target)
+        target = np.where(has_stiffness & self.parsed.driven[joints], clamped, target)
         changed = target * self._scale[joints]
-        out[:, drives] = np.where(target == asked, given, changed)  # unchanged ones stay exact
+        # Those that are as asked for stay exact: a factor and its inverse would round them.
+        out[:, drives] = np.where(target == asked, drive_control, changed)
         return out
 
     def clear(self, ids: EnvIndex | None) -> None:
         """Clear velocity targets after a reset, which has set the compiled controls."""
         self._forget_velocities(ids)
         self.cut_effort[slice(None) if ids is None else ids] = 0.0
-        changed = self._switched
-        if len(changed):
-            where, columns = _at(ids, changed), self.columns(changed)
-            stiffness = self.stiffness[where]
-            home = np.broadcast_to(self.parsed.init_qpos[changed], stiffness.shape)
-            control = self._control(home, where)
-            if self._arrays.on_device:  # all drives may be switched: others keep their controls
-                now = self._handle.engine.state("ctrl")[where[0], columns]
-                switched = (stiffness > 0) != (self.parsed.stiffness[changed] > 0)
-                control = np.where(switched, control, now)
-            self._handle.engine.write("ctrl", control, ids, columns)
+        joints = self._switched
+        if not len(joints):
+            return
+        where = _at(ids, joints)
+        columns = self.columns(joints)
+        stiffness = self.stiffness[where]
+        home = np.broadcast_to(self.parsed.init_qpos[joints], stiffness.shape)
+        control = self._control(home, where)
+        if self._arrays.on_device:  # all drives may be switched: others keep their controls
+            present = self._handle.engine.state("ctrl")[where[0], columns]
+            is_switched = (stiffness > 0) != (self.parsed.stiffness[joints] > 0)
+            control = np.where(is_switched, control, present)
+        self._handle.engine.write("ctrl", control, ids, columns)
 
     def _forget_velocities(self, ids: EnvIndex | None) -> None:
         if self.has_velocity_target:
@@ -295,16 +309,18 @@ class Drives:
 
     def _note_gains(self) -> None:
         if self._arrays.on_device:  # not known without waiting: results are the same
-            self._rated, self._springless, self._switched = True, True, self.joints
+            self._rated = True
+            self._springless = True
+            self._switched = self.joints
             return
         self._note(self.stiffness, self.max_velocity)
 
     def _note(self, stiffness: Floats, fastest: Floats) -> None:
         self._rated = bool((fastest < NO_LIMIT).any())
-        stiff = stiffness[:, self.joints] > 0
-        self._springless = not stiff.all()
-        changed = stiff != (self.parsed.stiffness[self.joints] > 0)
-        self._switched = self.joints[changed.any(axis=0)]
+        has_stiffness = stiffness[:, self.joints] > 0
+        self._springless = not has_stiffness.all()
+        is_switched = has_stiffness != (self.parsed.stiffness[self.joints] > 0)
+        self._switched = self.joints[is_switched.any(axis=0)]
 
     # -- gains -----------------------------------------------------------------------------------
 
@@ -316,12 +332,14 @@ class Drives:
         Raises:
             ValueError: If a joint has no drive.
         """
-        engine, index = self._handle.engine, self._handle.index
+        engine = self._handle.engine
+        index = self._handle.index
         driven = index.actuator_ids[joints] >= 0
         if name == "damping" and not driven.all():
             # The damping of a joint without a drive is passive.
             self.write("joint_damping", values[:, ~driven], ids, joints[~driven])
-            joints, values = joints[driven], values[:, driven]
+            joints = joints[driven]
+            values = values[:, driven]
             if not len(joints):
                 return
         where = _at(ids, joints)
@@ -346,41 +364,48 @@ class Drives:
                 self._write_efforts(index.actuator_ids[joints], where, ids, changes)
 
     def _write_gains(self, actuators: Joints, where: Any, ids: EnvIndex | None) -> None:
-        engine, model, joints = self._handle.engine, self._handle.engine.model, where[1]
+        engine = self._handle.engine
+        model = engine.model
+        _, joints = where
         spring = self.stiffness[where] * self.strength[where]
         damper = self.damping[where] * self.strength[where]
-        gear, scale = self._gear[joints], self._scale[joints]
+        gear = self._gear[joints]
+        scale = self._scale[joints]
         gain = np.where(spring > 0, spring, damper) / (gear * scale)
         columns = actuators * model.actuator_gainprm.shape[1]
         engine.write_model("actuator_gainprm", gain, ids, columns_of(columns))
         columns = actuators * model.actuator_biasprm.shape[1]
+        engine.write_model("actuator_biasprm", -(spring / gear**2), ids, columns_of(columns + 1))
         # Joints that mimic this one carry part of its damping.
         damper = np.maximum(damper - self.parsed.carried_damping[joints], 0.0)
-        for offset, value in ((1, spring), (2, damper)):
-            columns_now = columns_of(columns + offset)
-            engine.write_model("actuator_biasprm", -(value / gear**2), ids, columns_now)
+        engine.write_model("actuator_biasprm", -(damper / gear**2), ids, columns_of(columns + 2))
 
     def _write_efforts(
         self, actuators: Joints, where: Any, ids: EnvIndex | None, changes: bool
     ) -> None:
         """Write force ranges; `changes` is whether other joints may be limited than before."""
         engine = self._handle.engine
+        _, joints = where
         limit = self.max_effort[where]
-        limited = limit < NO_LIMIT
-        compiled = engine.model.actuator_forcelimited[actuators] != 0
-        # Not known on a device without waiting; a strength changes no flag.
-        if bool((limited != compiled).any()) if is_host(limited) else changes:
+        is_limited = limit < NO_LIMIT
+        was_limited = engine.model.actuator_forcelimited[actuators] != 0
+        if is_host(is_limited):
+            changes = bool((is_limited != was_limited).any())
+        # On a device it is not known without waiting; a strength changes no flag.
+        if changes:
             self._limits_vary = True
         if self._limits_vary:
-            flags = limited.astype(np.float64)
+            flags = is_limited.astype(np.float64)
             engine.write_model("actuator_forcelimited", flags, ids, columns_of(actuators))
-        elif not compiled.any():
+        elif not was_limited.any():
             return
-        finite = np.where(limited, limit * self.strength[where], 0.0)
-        most = finite / np.abs(self._gear[where[1]])
-        low, high = self._shares[where[1]].T  # a file's force range may be asymmetric
-        for side, bound in ((0, -most * low), (1, most * high)):
-            engine.write_model("actuator_forcerange", bound, ids, columns_of(2 * actuators + side))
+        effort = np.where(is_limited, limit * self.strength[where], 0.0)
+        force = effort / np.abs(self._gear[joints])
+        low, high = self._shares[joints].T  # a file's force range may be asymmetric
+        lower = columns_of(2 * actuators)
+        upper = columns_of(2 * actuators + 1)
+        engine.write_model("actuator_forcerange", -force * low, ids, lower)
+        engine.write_model("actuator_forcerange", force * high, ids, upper)
 
     def write_limit(
         self, side: Literal[0, 1], values: Floats, ids: EnvIndex | None, joints: Joints
@@ -404,56 +429,69 @@ class Drives:
             fields: The loaded fields, (size,) each, equal in these environments; others are as
                 compiled.
         """
-        model, index, parsed = self._handle.engine.model, self._handle.index, self.parsed
-        driven, gear = self.joints, self._gear[self.joints]
+        model = self._handle.engine.model
+        index = self._handle.index
+        parsed = self.parsed
+        driven = self.joints
 
         def read(name: str, columns: Joints, declared: Any, unit: Any = 1.0) -> Floats:
             """(k,) columns of a field times ``unit``; ``declared`` where they are as compiled."""
-            now, compiled = field_values(model, fields, name, columns)
-            return np.where(now == compiled, declared, now * unit)
+            loaded, compiled = field_values(model, fields, name, columns)
+            return np.where(loaded == compiled, declared, loaded * unit)
 
-        every = np.arange(len(index.dof_adr))
+        # Of all joints: passive properties and position limits.
+        all_joints = np.arange(len(index.dof_adr))
         for name, field in _JOINT_FIELDS.items():
-            getattr(self, name)[_at(ids, every)] = read(field, index.dof_adr, getattr(parsed, name))
-        joints = model.dof_jntid[index.dof_adr].astype(np.int64)
-        for side in (0, 1):
-            limits = read("jnt_range", 2 * joints + side, parsed.qpos_limits[:, side])
-            self.limits.set(side, limits, every, ids)
+            values = read(field, index.dof_adr, getattr(parsed, name))
+            getattr(self, name)[_at(ids, all_joints)] = values
+        model_joints = model.dof_jntid[index.dof_adr].astype(np.int64)
+        lower = read("jnt_range", 2 * model_joints, parsed.qpos_limits[:, 0])
+        upper = read("jnt_range", 2 * model_joints + 1, parsed.qpos_limits[:, 1])
+        self.limits.set(0, lower, all_joints, ids)
+        self.limits.set(1, upper, all_joints, ids)
 
-        actuators, where = index.actuator_ids[driven], _at(ids, driven)
+        # Of drives: gains and limits of effort, with their strength in them.
+        actuators = index.actuator_ids[driven]
+        gear = self._gear[driven]
         bias = model.actuator_biasprm.shape[1] * actuators
-        springs, dampers = parsed.stiffness[driven], parsed.damping[driven]
-        most = parsed.max_effort[driven]
-        stiffness = read("actuator_biasprm", bias + 1, springs, -(gear**2))
+        declared_stiffness = parsed.stiffness[driven]
+        stiffness = read("actuator_biasprm", bias + 1, declared_stiffness, -(gear**2))
+        declared_damping = parsed.damping[driven]
         carried = parsed.carried_damping[driven]
-        compiled = (dampers - carried).clip(min=0.0)
-        damping = read("actuator_biasprm", bias + 2, compiled, -(gear**2)) + carried
-        damping = np.where(damping == compiled + carried, dampers, damping)
+        compiled_damping = (declared_damping - carried).clip(min=0.0)
+        damping = read("actuator_biasprm", bias + 2, compiled_damping, -(gear**2)) + carried
+        is_declared = damping == compiled_damping + carried
+        damping = np.where(is_declared, declared_damping, damping)
+        declared_effort = parsed.max_effort[driven]
         low, high = self._shares[driven].T
         larger = 2 * actuators + np.where(high >= low, 1, 0)  # the side with the larger limit
-        effort = np.abs(read("actuator_forcerange", larger, most, gear))
-        limited = read("actuator_forcelimited", actuators, -1.0)
-        effort = np.where(limited == 0, 10 * NO_LIMIT, effort)
-        finite = (most > 0) & (most < NO_LIMIT)
-        scale = np.divide(effort, most, out=np.ones_like(most), where=finite)
-        alike = np.ones_like(scale, np.bool_)
-        for now, declared in ((stiffness, springs), (damping, dampers)):
-            factor = np.divide(now, declared, out=scale.copy(), where=declared > 0)
-            alike &= np.isclose(scale, factor, rtol=1e-9, atol=0.0)
-        self.strength[where] = np.where(alike, scale, 1.0)
-        self.stiffness[where] = np.where(alike, springs, stiffness)
-        self.damping[where] = np.where(alike, dampers, damping)
-        self.max_effort[where] = np.where(alike, most, effort)
-        where = _at(ids, np.flatnonzero(index.actuator_ids < 0))
-        self.damping[where] = self.joint_damping[where]
+        effort = np.abs(read("actuator_forcerange", larger, declared_effort, gear))
+        is_unlimited = read("actuator_forcelimited", actuators, -1.0) == 0
+        effort = np.where(is_unlimited, 10 * NO_LIMIT, effort)
+
+        # The strength, where all of them have the same factor.
+        is_finite = (declared_effort > 0) & (declared_effort < NO_LIMIT)
+        strength = np.divide(
+            effort, declared_effort, out=np.ones_like(declared_effort), where=is_finite
+        )
+        is_common = _is_ratio(strength, stiffness, declared_stiffness)
+        is_common &= _is_ratio(strength, damping, declared_damping)
+        where = _at(ids, driven)
+        self.strength[where] = np.where(is_common, strength, 1.0)
+        self.stiffness[where] = np.where(is_common, declared_stiffness, stiffness)
+        self.damping[where] = np.where(is_common, declared_damping, damping)
+        self.max_effort[where] = np.where(is_common, declared_effort, effort)
+        without_drive = _at(ids, np.flatnonzero(index.actuator_ids < 0))
+        self.damping[without_drive] = self.joint_damping[without_drive]
         self._limits_vary = True
         self._note_gains()
         self._forget_velocities(ids)
 
     def state_dict(self) -> dict[str, Floats]:
         """Targets and gains (copies)."""
-        saved = {name: getattr(self, name).copy() for name in _SAVED}
-        return {**saved, "limits": self.limits.values.copy()}
+        state: dict[str, Floats] = {name: getattr(self, name).copy() for name in _SAVED}
+        state["limits"] = self.limits.values.copy()
+        return state
 
     def load_state_dict(self, state: dict[str, Floats]) -> None:
         """Continue exactly where `state_dict` was taken; the engine restores model fields."""
@@ -467,4 +505,12 @@ class Drives:
 
 def _at(ids: EnvIndex | None, joints: Joints) -> tuple[Any, Joints]:
     """Numpy index of joints (k,) in (N, D) arrays, for environments (n,) or all (None)."""
-    return slice(None) if ids is None else ids[:, None], joints
+    if ids is None:
+        return slice(None), joints
+    return ids[:, None], joints
+
+
+def _is_ratio(ratio: Floats, values: Floats, declared: Floats) -> NDArray[np.bool_]:
+    """(k,) whether values have this ratio to those declared, or these are 0."""
+    actual = np.divide(values, declared, out=ratio.copy(), where=declared > 0)
+    return np.isclose(ratio, actual, rtol=1e-9, atol=0.0)

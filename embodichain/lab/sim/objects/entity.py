@@ -177,7 +177,10 @@ class BatchEntity(Handle["EntityIndex"]):
             "mocap_pos": [3 * row + np.arange(3) for row in mocap],
             "mocap_quat": [4 * row + np.arange(4) for row in mocap],
         }
-        parts = [engine.component(name).start + c for name, cs in columns.items() for c in cs]
+        parts = []
+        for name, groups in columns.items():
+            start = engine.component(name).start
+            parts += [start + group for group in groups]
         return np.unique(np.concatenate(parts).astype(np.int64))
 
     # -- root pose -----------------------------------------------------------------------------
@@ -189,17 +192,23 @@ class BatchEntity(Handle["EntityIndex"]):
         index = self.index
         if index.mocap_id >= 0:
             write = self.engine.write
-            pos_field, pos_start = ("mocap_pos", 3 * index.mocap_id)
-            quat_field, quat_start = ("mocap_quat", 4 * index.mocap_id)
+            pos_field = "mocap_pos"
+            pos_start = 3 * index.mocap_id
+            quat_field = "mocap_quat"
+            quat_start = 4 * index.mocap_id
         elif index.free_qpos_adr >= 0:
             write = self.engine.write
-            pos_field, pos_start = ("qpos", index.free_qpos_adr)
-            quat_field, quat_start = ("qpos", index.free_qpos_adr + 3)
+            pos_field = "qpos"
+            pos_start = index.free_qpos_adr
+            quat_field = "qpos"
+            quat_start = index.free_qpos_adr + 3
         else:
             # Nothing moves it in physics: its pose is a part of the model.
             write = self.engine.write_model
-            pos_field, pos_start = ("body_pos", 3 * index.root_body_id)
-            quat_field, quat_start = ("body_quat", 4 * index.root_body_id)
+            pos_field = "body_pos"
+            pos_start = 3 * index.root_body_id
+            quat_field = "body_quat"
+            quat_start = 4 * index.root_body_id
         write(pos_field, pos, env_ids, slice(pos_start, pos_start + 3))
         if quat is not None:
             write(quat_field, quat, env_ids, slice(quat_start, quat_start + 4))

@@ -48,7 +48,8 @@ class FrameReads(BatchEntity):
 
     def velocity_of(self, bodies: int | Ids) -> Floats:
         """(N, 6) linear velocity of a body's origin, then angular, world axes; or (N, k, 6)."""
-        return np.concatenate(BodyFrames("link", bodies, bodies).velocities(self.engine), axis=-1)
+        frames = BodyFrames("link", bodies, bodies)
+        return np.concatenate(frames.velocities(self.engine), axis=-1)
 
     def get_link_pose(
         self, link_name: str, env_ids: Any = None, to_matrix: bool = False
@@ -69,8 +70,8 @@ class FrameReads(BatchEntity):
         """
         names = self.parsed.site_names if kind == "site" else self.parsed.geom_names
         if name not in names:
-            there = f"{listing(names, name)}.{did_you_mean(name, names)}"
-            raise ValueError(f"{self.uid} has no {kind} {name!r}; there are: {there}")
+            choices = f"{listing(names, name)}.{did_you_mean(name, names)}"
+            raise ValueError(f"{self.uid} has no {kind} {name!r}; there are: {choices}")
         return frame_named(self.engine.model, kind, f"{self.uid}/{name}")
 
     def get_site_pose(
@@ -100,5 +101,5 @@ class FrameReads(BatchEntity):
         return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 
     def _frame_vel(self, frame: BodyFrames, env_ids: Any) -> torch.Tensor:
-        both = np.concatenate(frame.velocities(self.engine), axis=1)
-        return to_tensor(both[self._rows(env_ids)])
+        velocity = np.concatenate(frame.velocities(self.engine), axis=1)
+        return to_tensor(velocity[self._rows(env_ids)])

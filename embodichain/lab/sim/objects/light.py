@@ -76,7 +76,8 @@ class Light(Handle[int]):
     def _scalars(self, values: Any, env_ids: Any, what: str) -> tuple[Floats, EnvIndex | None]:
         """Return values (n,), (n, 1) or a single one as (n, 1)."""
         array = _array(values)
-        array = array.reshape(-1, 1) if array.size > 1 else array.reshape(-1)
+        is_single = array.size <= 1
+        array = array.reshape(-1) if is_single else array.reshape(-1, 1)
         return self._checked(array, 1, env_ids, what, shared=True)
 
     def set_color(self, colors: Any, env_ids: Any = None) -> None:
@@ -128,8 +129,11 @@ class Light(Handle[int]):
 
     def state_dict(self) -> dict[str, Floats]:
         """Colour, intensity and falloff (copies); the engine stores the rest."""
-        state = {"color": self._color, "intensity": self._intensity, "falloff": self._falloff}
-        return {name: values.copy() for name, values in state.items()}
+        return {
+            "color": self._color.copy(),
+            "intensity": self._intensity.copy(),
+            "falloff": self._falloff.copy(),
+        }
 
     def load_state_dict(self, state: dict[str, Floats]) -> None:
         """Continue where `state_dict` was taken; the engine restores model fields."""
@@ -139,4 +143,6 @@ class Light(Handle[int]):
 
 
 def _array(values: Any) -> Any:
-    return values.detach().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)
+    if isinstance(values, torch.Tensor):
+        return values.detach().numpy()
+    return np.asarray(values)

@@ -53,8 +53,13 @@ class Robot(Articulation):
 
     def get_proprioception(self) -> TensorMapping:
         """Joint positions, velocities and efforts: ``qpos``, ``qvel``, ``qf``, (N, D) each."""
-        parts = {"qpos": self.read_qpos(), "qvel": self.read_qvel(), "qf": self.read_efforts()}
-        return TensorMapping({name: to_tensor(values) for name, values in parts.items()})
+        return TensorMapping(
+            {
+                "qpos": to_tensor(self.read_qpos()),
+                "qvel": to_tensor(self.read_qvel()),
+                "qf": to_tensor(self.read_efforts()),
+            }
+        )
 
     # -- kinematics ----------------------------------------------------------------------------
 
@@ -65,32 +70,37 @@ class Robot(Articulation):
             ValueError: If there is no such part, or not exactly one link that can be its tool.
             ConfigError: If its joints do not move the tool.
         """
-        found = self._arms.get(name)
-        if found is None:
-            from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver, tool_bodies
+        arm = self._arms.get(name)
+        if arm is None:
+            arm = self._make_solver(name)
+            self._arms[name] = arm
+        return arm
 
-            joints = self.get_joint_ids(name, remove_mimic=True)
-            self.index  # noqa: B018  (compiles)
-            tool = self.parsed.tools.get(name or "default")
-            bodies = [self.body_of(tool)] if tool else tool_bodies(self, joints)
-            if len(bodies) != 1:
-                links = [self.link_names[list(self.index.body_ids).index(body)] for body in bodies]
-                where = f"part {name!r}" if name else "the whole robot"
-                raise ValueError(
-                    f"{self.uid}: {where} suggests {', '.join(links) or 'no link'} as the tool: "
-                    "declare solver_cfg: {PART: {end_link_name: LINK}}"
-                )
-            found = self._arms[name] = ArmSolver(self, joints, bodies[0], self.solver_cfg(name))
-        return found
+    def _make_solver(self, name: str | None) -> ArmSolver:
+        from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver, tool_bodies
+
+        joints = self.get_joint_ids(name, remove_mimic=True)
+        self.index  # noqa: B018  (compiles)
+        tool = self.parsed.tools.get(name or "default")
+        bodies = [self.body_of(tool)] if tool else tool_bodies(self, joints)
+        if len(bodies) != 1:
+            link_of_body = dict(zip(self.index.body_ids.tolist(), self.link_names, strict=False))
+            links = [link_of_body[body] for body in bodies]
+            part = f"part {name!r}" if name else "the whole robot"
+            raise ValueError(
+                f"{self.uid}: {part} suggests {', '.join(links) or 'no link'} as the tool: "
+                "declare solver_cfg: {PART: {end_link_name: LINK}}"
+            )
+        return ArmSolver(self, joints, bodies[0], self.solver_cfg(name))
 
     def solver_cfg(self, name: str | None = None) -> SolverCfg:
         """Settings of a control part's inverse kinematics, or the default ones."""
         from embodichain.lab.sim.cfg import SolverCfg
 
-        given = self.cfg.solver_cfg or {}
-        if isinstance(given, SolverCfg):
-            return given
-        return given.get(name or "default") or SolverCfg()
+        by_part = self.cfg.solver_cfg or {}
+        if isinstance(by_part, SolverCfg):
+            return by_part
+        return by_part.get(name or "default") or SolverCfg()
 
     def compute_fk(
         self, qpos: Any, name: str | None = None, to_matrix: bool = False, env_ids: Any = None
@@ -108,8 +118,8 @@ class Robot(Articulation):
             (n, 7), or (n, 4, 4).
         """
         solver = self.get_solver(name)
-        whole, ids = self._with_part(qpos, name, env_ids, "qpos")
-        pose = np.concatenate(solver.forward(whole, ids), axis=1)
+        all_qpos, ids = self._with_part(qpos, name, env_ids, "qpos")
+        pose = np.concatenate(solver.forward(all_qpos, ids), axis=1)
         return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 
     def compute_ik(
@@ -143,24 +153,26 @@ class Robot(Articulation):
         target, ids = self._pose_rows(pose, env_ids, "pose")
         seed, _ = self._with_part(joint_seed, name, env_ids, "joint_seed")
         joints = self._joints(None, name)
-        pos, quat = target[:, :3], target[:, 3:]
+        pos = target[:, :3]
+        quat = target[:, 3:]
         if return_all_solutions:
-            all_found, exist = solver.solutions(seed, pos, quat, ids)
-            chosen = np.moveaxis(all_found[..., joints], 0, 1)
-            return torch.from_numpy(exist.T.copy()), to_tensor(chosen)
-        found, reached = solver.inverse(seed, pos, quat, ids)
-        return torch.from_numpy(reached), to_tensor(found[:, joints])
+            solutions, exist = solver.solutions(seed, pos, quat, ids)
+            of_part = np.moveaxis(solutions[..., joints], 0, 1)
+            return torch.from_numpy(exist.T.copy()), to_tensor(of_part)
+        solution, reached = solver.inverse(seed, pos, quat, ids)
+        return torch.from_numpy(reached), to_tensor(solution[:, joints])
 
     def compute_batch_fk(
         self, qpos: Any, name: str | None = None, to_matrix: bool = False, env_ids: Any = None
     ) -> torch.Tensor:
         """`compute_fk` of m positions in each environment: (n, m, k) -> (n, m, 7 or 4, 4)."""
         solver = self.get_solver(name)
-        ids, given = self._batched(qpos, 1, env_ids, "qpos")
-        whole = self._filled(given, name, ids)
-        pose = np.concatenate(solver.forward(whole, ids), axis=1)
-        found = pose_to_matrix(pose) if to_matrix else pose
-        return to_tensor(found.reshape(*np.shape(qpos)[:2], *found.shape[1:]))
+        ids, part_qpos = self._flatten_batch(qpos, 1, env_ids, "qpos")
+        all_qpos = self._fill_joints(part_qpos, name, ids)
+        pose = np.concatenate(solver.forward(all_qpos, ids), axis=1)
+        if to_matrix:
+            pose = pose_to_matrix(pose)
+        return to_tensor(pose.reshape(*np.shape(qpos)[:2], *pose.shape[1:]))
 
     def compute_batch_ik(
         self, pose: Any, joint_seed: Any = None, name: str | None = None, env_ids: Any = None
@@ -170,19 +182,20 @@ class Robot(Articulation):
         ``joint_seed`` is (n, m, k), or None for the present positions.
         """
         solver = self.get_solver(name)
-        matrices = len(np.shape(pose)) == 4
-        ids, target = self._batched(pose, 2 if matrices else 1, env_ids, "pose")
-        target = matrix_to_pose(target) if matrices else target
+        are_matrices = len(np.shape(pose)) == 4
+        ids, target = self._flatten_batch(pose, 2 if are_matrices else 1, env_ids, "pose")
+        if are_matrices:
+            target = matrix_to_pose(target)
         quat = normalize_quat(target[:, 3:])
         seed = None
         if joint_seed is not None:
-            _, seed = self._batched(joint_seed, 1, env_ids, "joint_seed")
-        whole = self._filled(seed, name, ids)
-        found, reached = solver.inverse(whole, target[:, :3], quat, ids)
-        shape = np.shape(pose)[:2]
-        chosen = found[:, self._joints(None, name)]
-        return torch.from_numpy(reached.reshape(shape)), to_tensor(
-            chosen.reshape(*shape, chosen.shape[1])
+            _, seed = self._flatten_batch(joint_seed, 1, env_ids, "joint_seed")
+        all_qpos = self._fill_joints(seed, name, ids)
+        solution, reached = solver.inverse(all_qpos, target[:, :3], quat, ids)
+        of_part = solution[:, self._joints(None, name)]
+        n, m = np.shape(pose)[:2]
+        return torch.from_numpy(reached.reshape(n, m)), to_tensor(
+            of_part.reshape(n, m, of_part.shape[1])
         )
 
     def compute_jacobian(
@@ -194,10 +207,10 @@ class Robot(Articulation):
         of `compute_fk`; None is the present positions.
         """
         solver = self.get_solver(name)
-        whole, ids = self._with_part(qpos, name, env_ids, "qpos")
-        found = np.zeros((len(whole), 6, self.dof))
-        found[..., solver.moving] = solver.jacobian(whole, ids)
-        return to_tensor(found[..., self._joints(None, name)])
+        all_qpos, ids = self._with_part(qpos, name, env_ids, "qpos")
+        jacobian = np.zeros((len(all_qpos), 6, self.dof))
+        jacobian[..., solver.moving] = solver.jacobian(all_qpos, ids)
+        return to_tensor(jacobian[..., self._joints(None, name)])
 
     def get_control_part_base_pose(
         self, name: str | None = None, env_ids: Any = None, to_matrix: bool = False
@@ -212,17 +225,27 @@ class Robot(Articulation):
     ) -> tuple[Floats, EnvIndex | None]:
         """(n, D) present positions, with those of a part replaced."""
         ids = as_env_ids(env_ids, self.num_instances)
-        whole = self.read_qpos()[self._rows(env_ids)].copy()
+        all_qpos = self.read_qpos()[self._rows(env_ids)].copy()
         if qpos is not None:
             joints = self._joints(None, name)
             values, _ = self._checked(qpos, len(joints), env_ids, what, shared=True)
-            whole[:, joints] = values
-        return whole, ids
+            all_qpos[:, joints] = values
+        return all_qpos, ids
 
-    def _batched(self, values: Any, inner: int, env_ids: Any, what: str) -> tuple[EnvIndex, Floats]:
-        """Environments (n m,) and values (n m, ...) of an array (n, m, ...)."""
+    def _flatten_batch(
+        self, values: Any, inner: int, env_ids: Any, what: str
+    ) -> tuple[EnvIndex, Floats]:
+        """Environments (n m,) and values (n m, ...) of an array (n, m, ...).
+
+        Args:
+            values: The array.
+            inner: How many axes follow the first two.
+            env_ids: The n environments; None is all N.
+            what: What it is, for messages.
+        """
         ids = as_env_ids(env_ids, self.num_instances)
-        ids = np.arange(self.num_instances) if ids is None else ids
+        if ids is None:
+            ids = np.arange(self.num_instances)
         shape = np.shape(values)
         if len(shape) != 2 + inner or shape[0] != len(ids):
             raise ValueError(
@@ -234,12 +257,12 @@ class Robot(Articulation):
         flat = as_rows(values.reshape(count, width), count, width, f"{self.uid}: {what}")
         return np.repeat(ids, shape[1]), flat.reshape(count, *shape[2:])
 
-    def _filled(self, qpos: Floats | None, name: str | None, ids: EnvIndex) -> Floats:
+    def _fill_joints(self, qpos: Floats | None, name: str | None, ids: EnvIndex) -> Floats:
         """(n, D) present positions of environments, with those (n, k) of a part replaced."""
-        whole = self.read_qpos()[ids]
+        all_qpos = self.read_qpos()[ids]
         if qpos is not None:
             joints = self._joints(None, name)
             if qpos.shape[1] != len(joints):
-                raise ValueError(f"{self.uid}: {len(joints)} joints are wanted, got {qpos.shape}")
-            whole[:, joints] = qpos
-        return whole
+                raise ValueError(f"{self.uid}: expected {len(joints)} joints, got {qpos.shape}")
+            all_qpos[:, joints] = qpos
+        return all_qpos

@@ -56,16 +56,27 @@ class Solid:
                 f"{uid} is a {what}, whose size is compiled into the model's assets: only "
                 f"{', '.join(_NAMES.values())} have a size per environment"
             )
-        principal, own = np.zeros(9), np.zeros(9)
-        mujoco.mju_quat2Mat(principal, model.body_iquat[model.geom_bodyid[geom]])
-        mujoco.mju_quat2Mat(own, model.geom_quat[geom])
-        aligned = np.abs(principal.reshape(3, 3).T @ own.reshape(3, 3))
-        return Solid(uid, kind, geom, model.geom_size[geom].copy(), aligned.argmax(axis=1))
+        principal_axes = np.zeros(9)
+        geom_axes = np.zeros(9)
+        mujoco.mju_quat2Mat(principal_axes, model.body_iquat[model.geom_bodyid[geom]])
+        mujoco.mju_quat2Mat(geom_axes, model.geom_quat[geom])
+        cosines = np.abs(principal_axes.reshape(3, 3).T @ geom_axes.reshape(3, 3))
+        return Solid(
+            uid=uid,
+            kind=kind,
+            geom=geom,
+            size=model.geom_size[geom].copy(),
+            axes=cosines.argmax(axis=1),
+        )
 
     @property
     def equal_axes(self) -> tuple[int, ...]:
         """Axes that must have equal scales to keep the kind of shape."""
-        return {"sphere": (0, 1, 2), "cylinder": (0, 1), "capsule": (0, 1)}.get(self.kind, ())
+        if self.kind == "sphere":
+            return (0, 1, 2)
+        if self.kind in ("cylinder", "capsule"):
+            return (0, 1)
+        return ()
 
     def check(self, scale: Floats) -> None:
         """Check that scales (n, 3) are positive and keep the kind of shape.
@@ -99,7 +110,7 @@ class Solid:
 
 def _volume(kind: str, size: Floats) -> Floats:
     """Volume (n,), up to a constant factor."""
-    a, b, c = size[:, 0], size[:, 1], size[:, 2]
+    a, b, c = size.T
     if kind == "sphere":
         return a * a * a
     if kind == "cylinder":
@@ -111,19 +122,21 @@ def _volume(kind: str, size: Floats) -> Floats:
 
 def _moments(kind: str, size: Floats) -> Floats:
     """Moments of inertia (n, 3) about the geom's axes per mass, up to a constant factor."""
-    a, b, c = size[:, 0], size[:, 1], size[:, 2]
+    a, b, c = size.T
     if kind == "sphere":
-        x = y = z = a * a
-    elif kind == "cylinder":
-        x = y = (3.0 * a * a + 4.0 * b * b) / 12.0
+        x = a * a
+        return np.stack([x, x, x], axis=1)
+    if kind == "cylinder":
+        x = (3.0 * a * a + 4.0 * b * b) / 12.0
         z = 0.5 * a * a
-    elif kind == "capsule":
-        ball = 4.0 / 3.0 * a / (2.0 * b + 4.0 / 3.0 * a)  # its share of mass
+        return np.stack([x, x, z], axis=1)
+    if kind == "capsule":
+        # Shares of mass of the two half balls at its ends, and of the tube between.
+        ball = 4.0 / 3.0 * a / (2.0 * b + 4.0 / 3.0 * a)
         tube = 1.0 - ball
-        x = y = tube * (3.0 * a * a + 4.0 * b * b) / 12.0 + ball * (
-            0.4 * a * a + b * b + 0.75 * a * b
-        )
+        tube_x = tube * (3.0 * a * a + 4.0 * b * b) / 12.0
+        ball_x = ball * (0.4 * a * a + b * b + 0.75 * a * b)
+        x = tube_x + ball_x
         z = tube * 0.5 * a * a + ball * 0.4 * a * a
-    else:
-        x, y, z = b * b + c * c, a * a + c * c, a * a + b * b
-    return np.stack([x, y, z], axis=1)
+        return np.stack([x, x, z], axis=1)
+    return np.stack([b * b + c * c, a * a + c * c, a * a + b * b], axis=1)

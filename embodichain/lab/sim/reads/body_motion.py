@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -36,35 +37,27 @@ class BodyMotion:
         self._engine = engine
         self._frame = frame
         self._version = -1
-        self._known: dict[str, Floats] = {}
+        self._computed: dict[str, Floats] = {}
         is_root = frame.kind == "link" and frame.ids == index.root_body_id
         self._qvel = index.free_qvel_adr if is_root else -1
         # Poses of floating and kinematic roots are part of the state.
-        self._pose: tuple[Floats, Floats] | None = None
-        start, mocap = index.free_qpos_adr, index.mocap_id
-        if is_root and mocap >= 0:
-            position, quat = engine.state("mocap_pos"), engine.state("mocap_quat")
-            self._pose = (
-                position[:, 3 * mocap : 3 * mocap + 3],
-                quat[:, 4 * mocap : 4 * mocap + 4],
-            )
-        elif is_root and start >= 0:
-            qpos = engine.state("qpos")
-            self._pose = qpos[:, start : start + 3], qpos[:, start + 3 : start + 7]
+        self._pose = _pose_in_state(engine, index) if is_root else None
 
     def release(self) -> None:
         """Drop the engine and its arrays, which terms would keep; nothing can be read then."""
         del self._engine, self._pose
-        self._known.clear()
+        self._computed.clear()
 
     def position(self) -> Floats:
         """(N, 3) m: a live view, do not store."""
-        return self._frame.positions(self._engine) if self._pose is None else self._pose[0]
+        if self._pose is not None:
+            return self._pose.position
+        return self._frame.positions(self._engine)
 
     def orientation(self) -> Floats:
         """(N, 4) wxyz: a live view, do not store."""
         if self._pose is not None:
-            return self._pose[1]
+            return self._pose.quat
         if self._frame.kind == "link":
             return self._frame.orientations(self._engine)
         return self._once("quat", lambda: self._frame.orientations(self._engine))
@@ -72,12 +65,13 @@ class BodyMotion:
     def _once(self, name: str, compute: Callable[[], Floats]) -> Floats:
         """The stored value, or a new one if the state has changed."""
         if self._version != self._engine.version:
-            self._known.clear()
+            self._computed.clear()
             self._version = self._engine.version
-        found = self._known.get(name)
-        if found is None:
-            found = self._known[name] = compute()
-        return found
+        value = self._computed.get(name)
+        if value is None:
+            value = compute()
+            self._computed[name] = value
+        return value
 
     def axes(self) -> Floats:
         """(N, 3, 3) rotation matrices; the columns are the frame's axes in the world."""
@@ -98,7 +92,7 @@ class BodyMotion:
 
     def _linear(self, frame: Frame) -> Floats:
         if frame != "world":
-            return self._turned(self.linear_velocity(), frame)
+            return self._rotate_to(self.linear_velocity(), frame)
         if self._qvel >= 0:
             return self._engine.state("qvel")[:, self._qvel : self._qvel + 3]
         return self._frame.velocities(self._engine)[0]
@@ -109,25 +103,52 @@ class BodyMotion:
 
     def _angular(self, frame: Frame) -> Floats:
         if self._qvel >= 0 and frame != "yaw":  # qvel is in body axes
-            own = self._engine.state("qvel")[:, self._qvel + 3 : self._qvel + 6]
-            return own if frame == "body" else rotate(self.axes(), own)
+            in_body = self._engine.state("qvel")[:, self._qvel + 3 : self._qvel + 6]
+            return in_body if frame == "body" else rotate(self.axes(), in_body)
         if frame == "world":
             return self._engine.derived("cvel")[:, self._frame.bodies, :3]
-        return self._turned(self.angular_velocity(), frame)
+        return self._rotate_to(self.angular_velocity(), frame)
 
-    def _turned(self, vectors: Floats, frame: Literal["body", "yaw"]) -> Floats:
+    def _rotate_to(self, vectors: Floats, frame: Literal["body", "yaw"]) -> Floats:
         """Transform (N, 3) vectors from world axes to axes of the body or of its heading."""
         if frame == "body":
             return rotate_back(self.axes(), vectors)
         cos, sin = self._heading()
-        x, y, level = vectors[:, 0], vectors[:, 1], vectors.copy()
-        level[:, 0], level[:, 1] = cos * x + sin * y, cos * y - sin * x
+        x = vectors[:, 0]
+        y = vectors[:, 1]
+        level = vectors.copy()
+        level[:, 0] = cos * x + sin * y
+        level[:, 1] = cos * y - sin * x
         return level
 
     def _heading(self) -> tuple[Floats, Floats]:
         """(N,) cosine and sine of the heading; (1, 0) for a vertical x axis."""
-        ahead, left = self.axes()[:, 0, 0], self.axes()[:, 1, 0]
-        length = np.sqrt(ahead * ahead + left * left)
-        vertical = length == 0.0
-        length[vertical] = 1.0
-        return np.where(vertical, 1.0, ahead / length), left / length
+        axes = self.axes()
+        x = axes[:, 0, 0]
+        y = axes[:, 1, 0]
+        length = np.sqrt(x * x + y * y)
+        is_vertical = length == 0.0
+        length[is_vertical] = 1.0
+        return np.where(is_vertical, 1.0, x / length), y / length
+
+
+@dataclass(frozen=True, eq=False)
+class _StatePose:
+    """Live views of a root's pose in the state: (N, 3) m and (N, 4) wxyz."""
+
+    position: Floats
+    quat: Floats
+
+
+def _pose_in_state(engine: Engine, index: EntityIndex) -> _StatePose | None:
+    """Return the views of an entity's root, or None where it is fixed."""
+    mocap = index.mocap_id
+    if mocap >= 0:
+        position = engine.state("mocap_pos")[:, 3 * mocap : 3 * mocap + 3]
+        quat = engine.state("mocap_quat")[:, 4 * mocap : 4 * mocap + 4]
+        return _StatePose(position, quat)
+    start = index.free_qpos_adr
+    if start >= 0:
+        qpos = engine.state("qpos")
+        return _StatePose(qpos[:, start : start + 3], qpos[:, start + 3 : start + 7])
+    return None

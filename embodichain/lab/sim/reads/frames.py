@@ -44,20 +44,21 @@ class BodyFrames:
 
     def positions(self, engine: Engine) -> Floats:
         """(N, B, 3) metres, environment's frame: do not write or store."""
-        return engine.derived("xpos" if self.kind == "link" else f"{self.kind}_xpos")[:, self.ids]
+        field = "xpos" if self.kind == "link" else f"{self.kind}_xpos"
+        return engine.derived(field)[:, self.ids]
 
     def orientations(self, engine: Engine) -> Floats:
         """(N, B, 4) wxyz: do not write or store."""
-        carried = engine.derived("xquat")[:, self.bodies]
+        of_bodies = engine.derived("xquat")[:, self.bodies]
         if self.kind == "link":
-            return carried
-        own = engine.model_values(f"{self.kind}_quat")[:, self.ids]
-        return quat_multiply(carried, own)
+            return of_bodies
+        on_bodies = engine.model_values(f"{self.kind}_quat")[:, self.ids]
+        return quat_multiply(of_bodies, on_bodies)
 
     def axes(self, engine: Engine) -> Floats:
         """(N, B, 3, 3) rotation matrices: do not write or store."""
-        field = engine.derived("xmat" if self.kind == "link" else f"{self.kind}_xmat")
-        return field.reshape(engine.num_envs, -1, 3, 3)[:, self.ids]
+        field = "xmat" if self.kind == "link" else f"{self.kind}_xmat"
+        return engine.derived(field).reshape(engine.num_envs, -1, 3, 3)[:, self.ids]
 
     def velocities(self, engine: Engine) -> tuple[Floats, Floats]:
         """(N, B, 3) m/s of the origins and (N, B, 3) rad/s, world axes."""
@@ -73,15 +74,16 @@ def frame_named(model: mujoco.MjModel, kind: FrameKind, name: str) -> BodyFrames
     """The frame with a name in the model."""
     if kind == "link":
         return link_frame(int(model.body(name).id))
-    found = model.site(name) if kind == "site" else model.geom(name)
-    return BodyFrames(kind, int(found.id), int(found.bodyid[0]))
+    element = model.site(name) if kind == "site" else model.geom(name)
+    return BodyFrames(kind, int(element.id), int(element.bodyid[0]))
 
 
 def frames_named(model: mujoco.MjModel, kind: FrameKind, names: Sequence[str]) -> BodyFrames:
     """The frames with B names in the model."""
-    each = [frame_named(model, kind, name) for name in names]
-    ids, bodies = ([getattr(one, key) for one in each] for key in ("ids", "bodies"))
-    return BodyFrames(kind, columns_of(ids), np.asarray(bodies, np.int64))
+    frames = [frame_named(model, kind, name) for name in names]
+    ids = columns_of([frame.ids for frame in frames])
+    bodies = np.asarray([frame.bodies for frame in frames], np.int64)
+    return BodyFrames(kind, ids, bodies)
 
 
 def point_velocities(engine: Engine, bodies: Any, points: Floats) -> tuple[Floats, Floats]:

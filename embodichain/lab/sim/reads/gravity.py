@@ -26,7 +26,7 @@ def gravity_direction(engine: Engine) -> Floats:
     gravity: Floats = engine.model_values("opt.gravity")
     if engine.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY):
         return np.zeros_like(gravity)
-    x, y, z = gravity[:, 0], gravity[:, 1], gravity[:, 2]
+    x, y, z = gravity.T
     length = np.sqrt(x * x + y * y + z * z)[:, None]
-    none = length == 0.0
-    return np.where(none, 0.0, gravity / np.where(none, 1.0, length))
+    is_absent = length == 0.0
+    return np.where(is_absent, 0.0, gravity / np.where(is_absent, 1.0, length))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["GroundHeights"]
 
-_KNOWN: WeakKeyDictionary[Engine, GroundHeights] = WeakKeyDictionary()
+_HEIGHTS_OF: WeakKeyDictionary[Engine, GroundHeights] = WeakKeyDictionary()
 
 
 class GroundHeights:
@@ -41,17 +41,23 @@ class GroundHeights:
         model = engine.model
         geom = model.geom(GROUND)
         field = int(geom.dataid[0])
-        start = int(model.hfield_adr[field])
-        rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
         half_x, half_y, extent, _ = model.hfield_size[field].tolist()
+        self._half_x: float = half_x
+        self._half_y: float = half_y
+
+        # The grid: nodes along y and x, their heights, and nodes a metre.
+        self._nodes_y = int(model.hfield_nrow[field])
+        self._nodes_x = int(model.hfield_ncol[field])
+        start = int(model.hfield_adr[field])
+        values = model.hfield_data[start : start + self._nodes_y * self._nodes_x].astype(np.float64)
+        self._heights: Floats = values * extent + float(geom.pos[2])
+        self._scale_x = (self._nodes_x - 1) / (2.0 * half_x)
+        self._scale_y = (self._nodes_y - 1) / (2.0 * half_y)
+
+        # Where it is: a part of the state, since environments begin on tiles of their own.
         first = 3 * int(model.body_mocapid[geom.bodyid[0]])
         self.columns = slice(first, first + 3)
         self._positions = engine.state("mocap_pos")
-        values = model.hfield_data[start : start + rows * columns].astype(np.float64)
-        self._heights: Floats = values * extent + float(geom.pos[2])
-        self._shape = rows, columns
-        self._half = half_x, half_y
-        self._scale = (columns - 1) / (2.0 * half_x), (rows - 1) / (2.0 * half_y)
 
     @classmethod
     def of(cls, engine: Engine) -> GroundHeights:
@@ -60,12 +66,13 @@ class GroundHeights:
         Raises:
             ConfigError: If arrays are on a device.
         """
-        found = _KNOWN.get(engine)
-        if found is None:
+        heights = _HEIGHTS_OF.get(engine)
+        if heights is None:
             if not is_host(engine.state("mocap_pos")):
                 raise ConfigError("heights of a terrain need arrays on the host: warp.arrays=host")
-            found = _KNOWN[engine] = cls(engine)
-        return found
+            heights = cls(engine)
+            _HEIGHTS_OF[engine] = heights
+        return heights
 
     @classmethod
     def hit_alone(cls, engine: Engine, geoms: NDArray[np.bool_]) -> GroundHeights | None:
@@ -75,12 +82,18 @@ class GroundHeights:
             engine: The engine.
             geoms: (ngeom,) mask of geoms.
         """
-        model, chosen = engine.model, np.flatnonzero(geoms)
-        if len(chosen) != 1 or model.geom(int(chosen[0])).name != GROUND:
+        model = engine.model
+        ids = np.flatnonzero(geoms)
+        if len(ids) != 1:
             return None
-        is_field = model.geom_type[chosen[0]] == mujoco.mjtGeom.mjGEOM_HFIELD
-        there = is_field and model.body_mocapid[model.geom_bodyid[chosen[0]]] >= 0
-        return cls.of(engine) if there and is_host(engine.state("mocap_pos")) else None
+        geom = model.geom(int(ids[0]))
+        is_field = geom.type[0] == mujoco.mjtGeom.mjGEOM_HFIELD
+        if geom.name != GROUND or not is_field:
+            return None
+        is_terrain = model.body_mocapid[geom.bodyid[0]] >= 0
+        if not is_terrain or not is_host(engine.state("mocap_pos")):
+            return None
+        return cls.of(engine)
 
     def offset(self, env_ids: EnvIndex | None = None) -> Floats:
         """(n, 3) m: position of the terrain in environments; None is all. Do not write."""
@@ -100,18 +113,20 @@ class GroundHeights:
             (n, ...) m, where there is none that of the nearest edge, and a mask (n, ...).
         """
         offset = self.offset(env_ids).reshape(-1, 3, *(1,) * (x.ndim - 1))
-        x, y = x - offset[:, 0], y - offset[:, 1]
-        inside = (np.abs(x) <= self._half[0]) & (np.abs(y) <= self._half[1])
-        column, u = _cell((x + self._half[0]) * self._scale[0], self._shape[1])
-        row, v = _cell((y + self._half[1]) * self._scale[1], self._shape[0])
-        first = row * self._shape[1] + column
-        near, far = self._heights[first], self._heights[first + self._shape[1] + 1]
+        x = x - offset[:, 0]
+        y = y - offset[:, 1]
+        is_inside = (np.abs(x) <= self._half_x) & (np.abs(y) <= self._half_y)
+        column, u = _cell((x + self._half_x) * self._scale_x, self._nodes_x)
+        row, v = _cell((y + self._half_y) * self._scale_y, self._nodes_y)
+        first = row * self._nodes_x + column
+        near = self._heights[first]
+        far = self._heights[first + self._nodes_x + 1]
         # The third corner of the triangle: MuJoCo divides a cell from its first corner to the last.
-        right = u >= v
-        other = self._heights[first + np.where(right, 1, self._shape[1])]
-        most, least = np.maximum(u, v), np.minimum(u, v)
-        found: Floats = near + most * (other - near) + least * (far - other) + offset[:, 2]
-        return found, inside
+        third = self._heights[first + np.where(u >= v, 1, self._nodes_x)]
+        larger = np.maximum(u, v)
+        smaller = np.minimum(u, v)
+        heights: Floats = near + larger * (third - near) + smaller * (far - third) + offset[:, 2]
+        return heights, is_inside
 
 
 def _cell(place: Floats, nodes: int) -> tuple[NDArray[np.int64], Floats]:

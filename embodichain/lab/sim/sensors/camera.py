@@ -71,8 +71,15 @@ _FIRST_PIXEL = {"corner": 0.0, "centre": 0.5}
 _BY_DEPTH = frozenset({"depth", "distance", "normal", "position", "disparity"})
 
 
-class _Seen(NamedTuple):
-    """What one camera draws in n environments: its place, its lens, and its pictures."""
+class _Shot(NamedTuple):
+    """What one camera draws in n environments.
+
+    Attributes:
+        eye: (n or 1, 3) its position, m.
+        axes: (n or 1, 3, 3) its axes.
+        lens: (n or 1, 4) fx, fy, cx, cy in pixels.
+        pictures: Output -> (n, H, W, ...).
+    """
 
     eye: Floats
     axes: Floats
@@ -97,14 +104,19 @@ class Camera(BaseSensor):
 
     of_positions = True
     SUPPORTED_DATA_TYPES: ClassVar[tuple[str, ...]] = (
-        *("color", "depth", "distance", "mask", "normal", "position"),
+        "color",
+        "depth",
+        "distance",
+        "mask",
+        "normal",
+        "position",
     )
     index: CameraIndex
 
     def __init__(self, plan: SensorPlan, host: Host) -> None:
         super().__init__(plan, host)
         if not isinstance(plan.cfg, CameraCfg):
-            raise TypeError(f"{plan.uid}: the config of a camera is wanted, got {plan.cfg!r}")
+            raise TypeError(f"{plan.uid}: expected the config of a camera, got {plan.cfg!r}")
         self.cfg: CameraCfg = plan.cfg
         self.was_drawn = False
 
@@ -182,10 +194,10 @@ class Camera(BaseSensor):
     def measure(self, env_ids: EnvIndex | None) -> Readings:
         """Draw its images, (n, H, W, ...) each."""
         self.was_drawn = True
-        seen = self._draw_on_device() if self.host.arrays.on_device else self._draw(env_ids)
-        return tuple(self._image(name, seen) for name in self.reads)
+        shots = self._draw_on_device() if self.host.arrays.on_device else self._draw(env_ids)
+        return tuple(self._image(name, shots) for name in self.reads)
 
-    def _draw(self, env_ids: EnvIndex | None) -> list[_Seen]:
+    def _draw(self, env_ids: EnvIndex | None) -> list[_Shot]:
         views = [self._view(camera) for camera in self.index.ids]
         try:
             pictures = self.host.draw(views, env_ids)
@@ -193,29 +205,47 @@ class Camera(BaseSensor):
             raise RenderError(f"camera {self.uid!r}: {error}") from error
 
         def rows(values: Any) -> Any:
-            return values if len(values) == 1 or env_ids is None else values[env_ids]
+            if len(values) == 1 or env_ids is None:
+                return values
+            return values[env_ids]
 
         return [
-            _Seen(rows(view.position), rows(view.axes), rows(view.lens), made)
-            for view, made in zip(views, pictures, strict=True)
+            _Shot(
+                eye=rows(view.position),
+                axes=rows(view.axes),
+                lens=rows(view.lens),
+                pictures=pictures_of_view,
+            )
+            for view, pictures_of_view in zip(views, pictures, strict=True)
         ]
 
-    def _draw_on_device(self) -> list[_Seen]:
+    def _draw_on_device(self) -> list[_Shot]:
         """Draw all environments by MuJoCo Warp's renderer."""
         engine = cast("DeviceEngine", self.engine)
-        found = []
+        shots = []
         for side, camera in enumerate(self.index.ids):
-            made = engine.pictures(camera, self._optics(camera), self.outputs, self.cfg.look)
-            eye = engine.derived("cam_xpos")[:, camera]
-            axes = engine.derived("cam_xmat")[:, camera].reshape(-1, 3, 3)
-            found.append(_Seen(eye, axes, self.read_intrinsics(side), made))
-        return found
+            pictures = engine.pictures(camera, self._optics(camera), self.outputs, self.cfg.look)
+            shot = _Shot(
+                eye=engine.derived("cam_xpos")[:, camera],
+                axes=engine.derived("cam_xmat")[:, camera].reshape(-1, 3, 3),
+                lens=self.read_intrinsics(side),
+                pictures=pictures,
+            )
+            shots.append(shot)
+        return shots
 
     def _optics(self, camera: int) -> Optics:
         """The lens as compiled."""
         cfg = self.cfg
         fx, fy, cx, cy = lens_of(self.engine.model, camera, cfg.width, cfg.height)[0].tolist()
-        return Optics(cfg.width, cfg.height, (fx, fy), (cx, cy), cfg.near, cfg.far)
+        return Optics(
+            width=cfg.width,
+            height=cfg.height,
+            focal=(fx, fy),
+            centre=(cx, cy),
+            near=cfg.near,
+            far=cfg.far,
+        )
 
     def _view(self, camera: int) -> View:
         cfg = self.cfg
@@ -230,21 +260,24 @@ class Camera(BaseSensor):
             look=cfg.look,
         )
 
-    def _image(self, name: str, seen: list[_Seen]) -> NDArray[Any]:
-        eye, axes, lens, pictures = seen[1 if name.endswith("_right") else 0]
+    def _image(self, name: str, shots: list[_Shot]) -> NDArray[Any]:
+        """(n, H, W, ...) an image of `reads`, from what was drawn."""
+        shot = shots[1 if name.endswith("_right") else 0]
         kind = name.removesuffix("_right")
         if kind == "color":
-            return pictures["color"]
+            return shot.pictures["color"]
         if kind == "mask":
-            return rows_at(self.index.entity_of_geom, pictures["mask"])
-        depth: NDArray[np.float32] = pictures["depth"]
+            return rows_at(self.index.entity_of_geom, shot.pictures["mask"])
+        depth: NDArray[np.float32] = shot.pictures["depth"]
         if kind == "depth":
             return self._with_no_hit(depth, depth)
-        right, up = slopes(lens, self.cfg.width, self.cfg.height)
+        right, up = slopes(shot.lens, self.cfg.width, self.cfg.height)
         if kind == "distance":
             return self._with_no_hit(distances(depth, right, up), depth)
-        points = positions(depth, right, up, eye, axes)
-        return points if kind == "position" else normals(depth, points, eye)
+        points = positions(depth, right, up, shot.eye, shot.axes)
+        if kind == "position":
+            return points
+        return normals(depth, points, shot.eye)
 
     def _with_no_hit(
         self, values: NDArray[np.float32], depth: NDArray[np.float32]
@@ -269,12 +302,15 @@ class Camera(BaseSensor):
 
     def read_local_pose(self) -> tuple[Floats, Floats]:
         """Position (N, 3) and wxyz orientation (N, 4) in the frame of its link, if it has one."""
-        camera, count = self.index.ids[0], self.num_instances
-        pos, quat = (
-            self._here(self.engine.model_values(name)[:, camera].astype(np.float64))
-            for name in ("cam_pos", "cam_quat")
-        )
+        pos = self._model_values("cam_pos")
+        quat = self._model_values("cam_quat")
+        count = self.num_instances
         return np.broadcast_to(pos, (count, 3)).copy(), np.broadcast_to(quat, (count, 4)).copy()
+
+    def _model_values(self, field: str) -> Floats:
+        """(N or 1, k) values of a field of its first camera."""
+        values = self.engine.model_values(field)[:, self.index.ids[0]]
+        return self._to_arrays(values.astype(np.float64))
 
     def write_local_pose(self, pos: Floats, quat: Floats, env_ids: EnvIndex | None) -> None:
         """Set position (n, 3) and unit wxyz orientation (n, 4) from checked arrays."""
@@ -305,7 +341,8 @@ class Camera(BaseSensor):
         """
         ids = as_env_ids(env_ids, self.num_instances)
         rows = self.num_instances if ids is None else len(ids)
-        what, shape = f"{self.uid}: pose", tuple(np.shape(pose))
+        what = f"{self.uid}: pose"
+        shape = tuple(np.shape(pose))
         if len(shape) == 3 and shape[1:] == (4, 4):
             flat = as_rows(np.asarray(pose).reshape(shape[0], 16), rows, 16, what)
             array = matrix_to_pose(flat.reshape(-1, 4, 4))
@@ -327,22 +364,28 @@ class Camera(BaseSensor):
         """
         ids = as_env_ids(env_ids, self.num_instances)
         rows = self.num_instances if ids is None else len(ids)
-        points = [(eye, "eye"), (target, "target"), ((0.0, 0.0, 1.0) if up is None else up, "up")]
-        at, to, above = (
-            as_rows(v, rows, 3, f"{self.uid}: {name}", shared=True) for v, name in points
-        )
-        self.write_local_pose(at, matrix_to_quat(look_at(at, to, above)), ids)
+        if up is None:
+            up = (0.0, 0.0, 1.0)
+        eye = as_rows(eye, rows, 3, f"{self.uid}: eye", shared=True)
+        target = as_rows(target, rows, 3, f"{self.uid}: target", shared=True)
+        up = as_rows(up, rows, 3, f"{self.uid}: up", shared=True)
+        self.write_local_pose(eye, matrix_to_quat(look_at(eye, target, up)), ids)
 
     # -- lens ----------------------------------------------------------------------------------
 
     def read_intrinsics(self, side: int = 0) -> Floats:
         """(N, 4) fx, fy, cx, cy in pixels."""
-        size, values = (self.cfg.width, self.cfg.height), self.engine.model_values
-        lens = self._here(lens_of(self.engine.model, self.index.ids[side], *size, values))
-        return np.broadcast_to(lens, (self.num_instances, 4)).copy()
+        lens = lens_of(
+            self.engine.model,
+            self.index.ids[side],
+            self.cfg.width,
+            self.cfg.height,
+            values=self.engine.model_values,
+        )
+        return np.broadcast_to(self._to_arrays(lens), (self.num_instances, 4)).copy()
 
-    def _here(self, values: Floats) -> Floats:
-        """Values of the model that are on the host if all environments share them."""
+    def _to_arrays(self, values: Floats) -> Floats:
+        """Put values of the model where arrays are; those that all share are on the host."""
         return self.host.arrays.constant(values) if is_host(values) else values
 
     def write_intrinsics(self, lens: Floats, env_ids: EnvIndex | None, side: int = 0) -> None:
@@ -416,15 +459,16 @@ class StereoCamera(Camera):
     def __init__(self, plan: SensorPlan, host: Host) -> None:
         super().__init__(plan, host)
         if not isinstance(plan.cfg, StereoCameraCfg):
-            raise TypeError(f"{plan.uid}: the config of a stereo camera is wanted")
+            raise TypeError(f"{plan.uid}: expected the config of a stereo camera")
         self.cfg: StereoCameraCfg = plan.cfg
 
-    def _image(self, name: str, seen: list[_Seen]) -> NDArray[Any]:
+    def _image(self, name: str, shots: list[_Shot]) -> NDArray[Any]:
         if name != "disparity":
-            return super()._image(name, seen)
+            return super()._image(name, shots)
         offset = np.asarray(self.cfg.left_to_right_pos, np.float64)
         baseline = float(np.sqrt((offset * offset).sum()))
-        return disparities(seen[0].pictures["depth"], seen[0].lens[:, 0], baseline)
+        left = shots[0]
+        return disparities(left.pictures["depth"], left.lens[:, 0], baseline)
 
     def _centre(self, pos: Floats, quat: Floats) -> tuple[Floats, Floats]:
         """The pose halfway between the cameras, of the left one's."""
@@ -448,17 +492,14 @@ class StereoCamera(Camera):
 
     def get_left_right_arena_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Poses (N, 4, 4) of the left and of the right camera in the environment's frame."""
-        left, right = (
-            np.concatenate(
-                [
-                    self.engine.derived("cam_xpos")[:, camera],
-                    matrix_to_quat(self.engine.derived("cam_xmat")[:, camera].reshape(-1, 3, 3)),
-                ],
-                axis=1,
-            )
-            for camera in self.index.ids
-        )
+        left, right = (self._camera_pose(camera) for camera in self.index.ids)
         return to_tensor(pose_to_matrix(left)), to_tensor(pose_to_matrix(right))
+
+    def _camera_pose(self, camera: int) -> Floats:
+        """(N, 7) x, y, z, qw, qx, qy, qz of a camera, by MuJoCo's id."""
+        pos = self.engine.derived("cam_xpos")[:, camera]
+        axes = self.engine.derived("cam_xmat")[:, camera].reshape(-1, 3, 3)
+        return np.concatenate([pos, matrix_to_quat(axes)], axis=1)
 
     def set_intrinsics(  # type: ignore[override]  # EmbodiChain's signature
         self, intrinsics: Any, right_intrinsics: Any = None, env_ids: Any = None
@@ -483,11 +524,13 @@ def _pose_tensor(pose: tuple[Floats, Floats], to_matrix: bool) -> torch.Tensor:
 
 def _matrices(lens: Floats, pixel_origin: PixelOrigin) -> torch.Tensor:
     if pixel_origin not in _FIRST_PIXEL:
-        there = " or ".join(map(repr, _FIRST_PIXEL))
-        raise ValueError(f"pixel_origin is {there}, got {pixel_origin!r}")
+        choices = " or ".join(map(repr, _FIRST_PIXEL))
+        raise ValueError(f"pixel_origin is {choices}, got {pixel_origin!r}")
     shift = _FIRST_PIXEL[pixel_origin]
-    found = zeros((len(lens), 3, 3), lens)
-    found[:, 0, 0], found[:, 1, 1] = lens[:, 0], lens[:, 1]
-    found[:, 0, 2], found[:, 1, 2] = lens[:, 2] - shift, lens[:, 3] - shift
-    found[:, 2, 2] = 1.0
-    return to_tensor(found)
+    matrices = zeros((len(lens), 3, 3), lens)
+    matrices[:, 0, 0] = lens[:, 0]
+    matrices[:, 1, 1] = lens[:, 1]
+    matrices[:, 0, 2] = lens[:, 2] - shift
+    matrices[:, 1, 2] = lens[:, 3] - shift
+    matrices[:, 2, 2] = 1.0
+    return to_tensor(matrices)

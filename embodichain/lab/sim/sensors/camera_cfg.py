@@ -132,11 +132,11 @@ class CameraCfg(SensorCfg):
 
     def get_data_types(self) -> list[str]:
         """Return the names of its images."""
-        wanted = set(self.data_types if self.data_types is not None else ())
-        wanted |= {name for name in _IMAGES if getattr(self, f"enable_{name}", False)}
+        names = set(self.data_types or ())
+        names |= {name for name in _IMAGES if getattr(self, f"enable_{name}", False)}
         if self.data_types is not None and "color" not in self.data_types:
-            wanted.discard("color")
-        return [name for name in _IMAGES if name in wanted]
+            names.discard("color")
+        return [name for name in _IMAGES if name in names]
 
 
 @configclass
@@ -155,10 +155,12 @@ class StereoCameraCfg(CameraCfg):
 
     def get_data_types(self) -> list[str]:
         """Return the names of its images: ``NAME``, ``NAME_right``, and ``disparity``."""
-        images = super().get_data_types()
-        names = [name + side for name in images for side in ("", "_right")]
-        asked = self.data_types is not None and "disparity" in self.data_types
-        return [*names, "disparity"] if asked or self.enable_disparity else names
+        names: list[str] = []
+        for name in super().get_data_types():
+            names += [name, f"{name}_right"]
+        if self.enable_disparity or "disparity" in (self.data_types or ()):
+            names.append("disparity")
+        return names
 
 
 # -- checks ----------------------------------------------------------------------------------------
@@ -178,12 +180,12 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
         problems.append(Problem("far", "must be finite, metres, got inf"))
     elif not cfg.near < cfg.far:
         problems.append(Problem("far", f"must be greater than near, {cfg.near} m, got {cfg.far}"))
-    stereo = isinstance(cfg, StereoCameraCfg)
+    is_stereo = isinstance(cfg, StereoCameraCfg)
     unknown = [name for name in cfg.data_types or () if name not in CAMERA_IMAGES]
     for name in unknown:  # a config made in Python is not checked by its types
         message = f"no image {name!r}; allowed: {', '.join(CAMERA_IMAGES)}."
         problems.append(Problem("data_types", message + did_you_mean(name, CAMERA_IMAGES)))
-    if not stereo and "disparity" in (cfg.data_types or ()):
+    if not is_stereo and "disparity" in (cfg.data_types or ()):
         problems.append(Problem("data_types", "disparity is an image of a stereo_camera"))
     elif not unknown and not cfg.get_data_types():
         problems.append(Problem("data_types", "names no image; leave it out for [color]"))
@@ -192,18 +194,23 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
         if not np.isfinite(offset).all() or not offset.any():
             message = f"must be finite and not zero, metres, got {offset.tolist()}"
             problems.append(Problem("left_to_right_pos", message))
-    named = cfg.of != LinksCfg(preserve_order=cfg.of.preserve_order)
-    if named and not cfg.of.uid:
+    has_reference = cfg.of != LinksCfg(preserve_order=cfg.of.preserve_order)
+    if has_reference and not cfg.of.uid:
         message = "missing: the entity that has the links, sites or geoms"
         problems.append(Problem("of.uid", message))
     if cfg.camera is None:
         return problems + _check_extrinsics(cfg.extrinsics)
-    if stereo:
+    if is_stereo:
         problems.append(Problem("camera", "a stereo_camera has two cameras: leave it out"))
-    own = {"fovy": cfg.fovy, "intrinsics": cfg.intrinsics, "of": cfg.of.uid}
-    own["extrinsics"] = cfg.extrinsics != ExtrinsicsCfg()
+    # What the camera of a file has already.
+    values = {
+        "fovy": cfg.fovy,
+        "intrinsics": cfg.intrinsics,
+        "of": cfg.of.uid,
+        "extrinsics": cfg.extrinsics != ExtrinsicsCfg(),
+    }
     message = HAS_ITS_OWN.format(cfg.camera)
-    return problems + [Problem(key, message) for key, given in own.items() if given]
+    return problems + [Problem(key, message) for key, value in values.items() if value]
 
 
 def _check_lens(cfg: CameraCfg) -> list[Problem]:
@@ -214,12 +221,12 @@ def _check_lens(cfg: CameraCfg) -> list[Problem]:
         message = f"must be greater than 0 and less than 180 degrees, got {cfg.fovy}"
         problems.append(Problem("fovy", message))
     for key in ("intrinsics", "intrinsics_right"):
-        given = getattr(cfg, key, None)
-        if given is None:
+        lens = getattr(cfg, key, None)
+        if lens is None:
             continue
-        values = np.asarray(given, np.float64)
+        values = np.asarray(lens, np.float64)
         if values.shape != (4,) or not np.isfinite(values).all() or (values[:2] <= 0).any():
-            message = f"fx, fy, cx, cy in pixels, finite, fx and fy positive; got {list(given)}"
+            message = f"fx, fy, cx, cy in pixels, finite, fx and fy positive; got {list(lens)}"
             problems.append(Problem(key, message))
     return problems
 

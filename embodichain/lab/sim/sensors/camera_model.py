@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -95,29 +96,50 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
     if cfg.of.uid:
         message = "`of` is given as well: leave one of them out"
         return None, [Problem("extrinsics.parent", message)]
-    entities = {u: e for u, e in known.items() if e is not None and not isinstance(e, str)}
+    entities = {
+        uid: entity
+        for uid, entity in known.items()
+        if entity is not None and not isinstance(entity, str)
+    }
     uid, slash, rest = parent.partition("/")
     if slash and uid in known:
         entity = entities.get(uid)
         if entity is None:  # a light, or unreadable
             return LinksCfg(uid=uid), []
-        return _mounted(uid, *find_frame(rest, _names_of(uid, entity), "extrinsics.parent"))
-    jointed = {u: e for u, e in entities.items() if not isinstance(e, KnownObject)}
-    found = [_mounted(u, *find_frame(parent, _names_of(u, e), "")) for u, e in jointed.items()]
-    there = [where for where, _ in found if where is not None]
-    if len(there) == 1:
-        return there[0], []
-    if there:
-        uids = [where.uid for where in there]
+        frame, problems = find_frame(rest, _names_of(uid, entity), "extrinsics.parent")
+        return _frame_cfg(uid, frame), problems
+
+    # A name without its entity: one of them must have it.
+    jointed = {
+        uid: entity for uid, entity in entities.items() if not isinstance(entity, KnownObject)
+    }
+    carriers: list[LinksCfg] = []
+    for name, jointed_entity in jointed.items():
+        frame, _ = find_frame(parent, _names_of(name, jointed_entity), "")
+        carrier = _frame_cfg(name, frame)
+        if carrier is not None:
+            carriers.append(carrier)
+    if len(carriers) == 1:
+        return carriers[0], []
+    if carriers:
+        uids = [carrier.uid for carrier in carriers]
         message = f"several entities have {parent!r}: write UID/NAME, UID one of {uids}"
         return None, [Problem("extrinsics.parent", message)]
-    names = {
-        kind: tuple(n for u, e in jointed.items() for n in frame_names(e, u, kind) or ())
-        for kind in FRAME_KINDS
-    }
-    if slash and not any(name.startswith(f"{uid}/") for own in names.values() for name in own):
+
+    names = {kind: _all_frame_names(jointed, kind) for kind in FRAME_KINDS}
+    is_prefix = any(name.startswith(f"{uid}/") for name in itertools.chain(*names.values()))
+    if slash and not is_prefix:
         return LinksCfg(uid=uid, link=rest), []  # that there is no such entity is said there
-    return None, find_frame(parent, lambda kind: names[kind], "extrinsics.parent")[1]
+    _, problems = find_frame(parent, lambda kind: names[kind], "extrinsics.parent")
+    return None, problems
+
+
+def _all_frame_names(entities: Mapping[str, Jointed], kind: FrameKind) -> tuple[str, ...]:
+    """The names of frames of one kind in all entities."""
+    names: list[str] = []
+    for uid, entity in entities.items():
+        names += frame_names(entity, uid, kind) or ()
+    return tuple(names)
 
 
 def _names_of(
@@ -127,15 +149,13 @@ def _names_of(
     return lambda kind: frame_names(entity, uid, kind)
 
 
-def _mounted(
-    uid: str, frame: tuple[FrameKind, str] | None, problems: list[Problem]
-) -> tuple[LinksCfg | None, list[Problem]]:
-    """The config of the frame that was found."""
+def _frame_cfg(uid: str, frame: tuple[FrameKind, str] | None) -> LinksCfg | None:
+    """The config of a frame of an entity, if it has it."""
     if frame is None:
-        return None, problems
+        return None
     kind, name = frame
-    given: dict[str, Any] = {kind: name}
-    return LinksCfg(uid=uid, **given), problems
+    values: dict[str, Any] = {kind: name}
+    return LinksCfg(uid=uid, **values)
 
 
 def picture_names(uid: str, cfg: CameraCfg) -> dict[str, str]:
@@ -171,11 +191,13 @@ def add_camera(spec: mujoco.MjSpec, uid: str, cfg: CameraCfg, place: Place | Non
         if cfg.camera not in names:
             raise ConfigError([no_such("camera", cfg.camera, names, f"sensors.{uid}.camera")])
         return
-    parent, (pos, quat) = spec.worldbody, _pose(cfg)
+    parent = spec.worldbody
+    pos, quat = _pose(cfg)
     if place is not None:
-        body, at, turned = place
+        body, frame_pos, frame_quat = place
         parent = spec.body(body)
-        pos, quat = at + quat_rotate(turned, pos), quat_multiply(turned, quat)
+        pos = frame_pos + quat_rotate(frame_quat, pos)
+        quat = quat_multiply(frame_quat, quat)
     lenses = [cfg.intrinsics]
     if isinstance(cfg, StereoCameraCfg):
         lenses.append(cfg.intrinsics_right or cfg.intrinsics)
@@ -183,11 +205,13 @@ def add_camera(spec: mujoco.MjSpec, uid: str, cfg: CameraCfg, place: Place | Non
         if name in (*names, DEFAULT_VIEW):
             message = f"the scene has a camera {name!r} already: choose another name"
             raise ConfigError([Problem(f"sensors.{uid}", message)])
-        at, turned = pos, quat
+        camera_pos = pos
+        camera_quat = quat
         if isinstance(cfg, StereoCameraCfg):
             offset, turn = pair_offset(cfg, side)
-            at, turned = pos + quat_rotate(quat, offset), quat_multiply(quat, turn)
-        camera = parent.add_camera(name=name, pos=at, quat=turned)
+            camera_pos = pos + quat_rotate(quat, offset)
+            camera_quat = quat_multiply(quat, turn)
+        camera = parent.add_camera(name=name, pos=camera_pos, quat=camera_quat)
         camera.resolution = [cfg.width, cfg.height]
         if cfg.fovy is not None and lens is None:
             camera.fovy = cfg.fovy
@@ -224,11 +248,11 @@ def entity_of_geom(model: mujoco.MjModel, entities: Mapping[str, EntityIndex]) -
 
 def _pose(cfg: CameraCfg) -> tuple[F64, F64]:
     """Position and wxyz orientation (OpenGL's axes) in the frame of the body."""
-    given: Any = cfg.extrinsics
-    if given.eye is not None:
-        eye, target, up = look_points(given)
+    extrinsics: Any = cfg.extrinsics
+    if extrinsics.eye is not None:
+        eye, target, up = look_points(extrinsics)
         return eye, matrix_to_quat(look_at(eye, target, up))
-    quat = normalize_quat(np.asarray(given.quat, np.float64))
+    quat = normalize_quat(np.asarray(extrinsics.quat, np.float64))
     if cfg.convention == "ros":
         quat = quat_multiply(quat, _FROM_ROS)
-    return np.asarray(given.pos, np.float64), quat
+    return np.asarray(extrinsics.pos, np.float64), quat

@@ -146,20 +146,23 @@ class ContactSensor(LastStepSensor):
 
     def measure(self, env_ids: EnvIndex | None) -> Readings:
         """(n, links, others, 4) contacts; with a history also largest forces, and touches."""
-        now = super().measure(env_ids)
+        contacts = super().measure(env_ids)
         if not self._depth:
-            return now
+            return contacts
         steps = self.engine.kept_sensors(self.index.columns, self._depth)
-        steps = steps if env_ids is None else steps[env_ids]
+        if env_ids is not None:
+            steps = steps[env_ids]
         data = steps.reshape(len(steps), self._depth, *self.index.shape)
         force = data[..., 0, 1:]
-        found = data[..., 0, 0]
+        count = data[..., 0, 0]  # of contacts
         for other in range(1, self.index.shape[1]):
             force = force + data[..., other, 1:]
-            found = found + data[..., other, 0]
-        x, y, z = force[..., 0], force[..., 1], force[..., 2]
+            count = count + data[..., other, 0]
+        x = force[..., 0]
+        y = force[..., 1]
+        z = force[..., 2]
         lengths = np.sqrt(x * x + y * y + z * z)
-        return *now, lengths.max(axis=1), found.max(axis=1) > 0
+        return *contacts, lengths.max(axis=1), count.max(axis=1) > 0
 
     def read_largest_force(self) -> Floats:
         """(N, n) N: largest net force on each link in the last ``history_length`` physics steps.
@@ -176,10 +179,10 @@ class ContactSensor(LastStepSensor):
 
     def read_found(self) -> NDArray[np.bool_]:
         """(N, n) whether each link is touched."""
-        found = self.latest()[0][..., 0] > 0
-        touched: NDArray[np.bool_] = found[:, :, 0]
-        for other in range(1, found.shape[2]):
-            touched = touched | found[:, :, other]
+        has_contact = self.latest()[0][..., 0] > 0
+        touched: NDArray[np.bool_] = has_contact[:, :, 0]
+        for other in range(1, has_contact.shape[2]):
+            touched = touched | has_contact[:, :, other]
         return touched
 
     def read_force(self) -> Floats:

@@ -48,10 +48,10 @@ def positions(
         eye: (N or 1, 3) position of the camera.
         axes: (N or 1, 3, 3) its axes: right, up and backwards are columns.
     """
-    to = axes.astype(np.float32)[:, None, None]
-    ray = right[..., None] * to[..., 0] + up[..., None] * to[..., 1] - to[..., 2]
-    found = depth[..., None] * ray + eye.astype(np.float32)[:, None, None]
-    return np.where((depth > 0)[..., None], found, np.float32(0.0))
+    x, y, z = np.moveaxis(axes.astype(np.float32)[:, None, None], -1, 0)
+    ray = right[..., None] * x + up[..., None] * y - z
+    points = depth[..., None] * ray + eye.astype(np.float32)[:, None, None]
+    return np.where((depth > 0)[..., None], points, np.float32(0.0))
 
 
 def normals(depth: F32, points: F32, eye: NDArray[np.float64]) -> F32:
@@ -65,7 +65,8 @@ def normals(depth: F32, points: F32, eye: NDArray[np.float64]) -> F32:
         points: (N, H, W, 3), of `positions`.
         eye: (N or 1, 3) position of the camera.
     """
-    across, down = _step(depth, points, 2), _step(depth, points, 1)
+    across = _step(depth, points, axis=2)
+    down = _step(depth, points, axis=1)
     normal = np.stack(
         [
             across[..., i] * down[..., j] - across[..., j] * down[..., i]
@@ -73,11 +74,11 @@ def normals(depth: F32, points: F32, eye: NDArray[np.float64]) -> F32:
         ],
         axis=-1,
     )
-    size = np.sqrt((normal * normal).sum(axis=-1, keepdims=True))
-    seen = eye.astype(np.float32)[:, None, None] - points
-    away = (normal * seen).sum(axis=-1, keepdims=True) < 0
-    unit = normal / np.where(size > 0, size, np.float32(1.0))
-    unit = np.where(away, -unit, unit)
+    length = np.sqrt((normal * normal).sum(axis=-1, keepdims=True))
+    to_eye = eye.astype(np.float32)[:, None, None] - points
+    points_away = (normal * to_eye).sum(axis=-1, keepdims=True) < 0
+    unit = normal / np.where(length > 0, length, np.float32(1.0))
+    unit = np.where(points_away, -unit, unit)
     return np.where((depth > 0)[..., None], unit, np.float32(0.0))
 
 
@@ -89,15 +90,16 @@ def _step(depth: F32, points: F32, axis: int) -> F32:
     def part(values: F32, start: int | None, stop: int | None) -> F32:
         return values[(*[slice(None)] * axis, slice(start, stop))]
 
-    def padded(values: F32, before: bool) -> F32:
+    def to_previous(values: F32) -> F32:
         difference = part(values, 1, None) - part(values, None, -1)
-        edge = part(difference, None, 1) if before else part(difference, -1, None)
-        parts = [edge, difference] if before else [difference, edge]
-        return np.concatenate(parts, axis=axis)
+        return np.concatenate([part(difference, None, 1), difference], axis=axis)
 
-    back, ahead = padded(points, before=True), padded(points, before=False)
-    closer = np.abs(padded(depth, before=True)) <= np.abs(padded(depth, before=False))
-    return np.where(closer[..., None], back, ahead)
+    def to_next(values: F32) -> F32:
+        difference = part(values, 1, None) - part(values, None, -1)
+        return np.concatenate([difference, part(difference, -1, None)], axis=axis)
+
+    previous_is_closer = np.abs(to_previous(depth)) <= np.abs(to_next(depth))
+    return np.where(previous_is_closer[..., None], to_previous(points), to_next(points))
 
 
 def disparities(depth: F32, focal: NDArray[np.float64], baseline: float) -> F32:

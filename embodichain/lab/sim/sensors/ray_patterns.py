@@ -129,7 +129,7 @@ def pattern_rays(cfg: RayPatternCfg) -> tuple[Floats, Floats]:
 
 
 def _grid(cfg: RayGridCfg) -> Floats:
-    """(R, 3) points; a length that is no multiple of the resolution is shortened to one."""
+    """(R, 3) points; a length that is not a multiple of the resolution is shortened to one."""
     # The tolerance is for quotients such as 1.6 / 0.1, which are a little below an integer.
     cells = [math.floor(length / cfg.resolution + 1e-6) for length in cfg.size]
     x, y = (cfg.resolution * (np.arange(n + 1) - n / 2.0) for n in cells)

@@ -229,17 +229,23 @@ class RayCaster(BaseSensor):
 
     def _cast(self, env_ids: EnvIndex | None, raised: float = 0.0, normal: bool = False) -> _Cast:
         """Cast the rays in n environments, from `raised` metres higher."""
-        cfg, (starts, rays) = self.cfg, self._rays
+        cfg = self.cfg
+        starts, rays = self._rays
         position, axes = self._mount(env_ids)
         directions = rotate(axes[:, None], rays)
         origins = position[:, None] + rotate(axes[:, None], starts)
         origins[..., 2] += raised
-        found = self.engine.cast_rays(origins, directions, self.index.geoms, env_ids, normal=normal)
-        hit = (found.distance >= 0.0) & (found.distance <= cfg.max_range)
+        hits = self.engine.cast_rays(origins, directions, self.index.geoms, env_ids, normal=normal)
+        is_hit = (hits.distance >= 0.0) & (hits.distance <= cfg.max_range)
         missing = {"max": cfg.max_range, "inf": np.inf, "zero": 0.0}[cfg.no_hit]
-        distance = np.where(hit, found.distance, missing)
-        place = position + rotate(axes, np.asarray(cfg.pos, np.float64))
-        return _Cast(place, origins, directions, distance, hit, found.normal)
+        return _Cast(
+            place=position + rotate(axes, np.asarray(cfg.pos, np.float64)),
+            origins=origins,
+            directions=directions,
+            distance=np.where(is_hit, hits.distance, missing),
+            hit=is_hit,
+            normal=hits.normal,
+        )
 
 
 @register_sensor(RaySensorCfg)
@@ -249,7 +255,7 @@ class RaySensor(RayCaster):
     cfg: RaySensorCfg
 
     def measure(self, env_ids: EnvIndex | None) -> Readings:
-        """(n, R) distances, (n, R, 3) points and, if they are wanted, (n, R, 3) normals."""
+        """(n, R) distances, (n, R, 3) points and, if `data_types` names them, (n, R, 3) normals."""
         cast = self._cast(env_ids, normal="normal" in self.cfg.data_types)
         hit = cast.hit[..., None]
         reached = np.where(np.isfinite(cast.distance), cast.distance, 0.0)[..., None]
@@ -301,13 +307,16 @@ class HeightScanSensor(RayCaster):
         # A ray without a hit reads what the surface at its distance would give, or 0.
         reached = cast.origins[..., 2] + cast.directions[..., 2] * cast.distance
         height = cast.place[:, None, 2] - reached
-        return (height if self.cfg.no_hit != "zero" else np.where(cast.hit, height, 0.0),)
+        if self.cfg.no_hit == "zero":
+            height = np.where(cast.hit, height, 0.0)
+        return (height,)
 
     @cached_property
     def _ground(self) -> GroundHeights | None:
         """The terrain, if vertical rays could hit nothing else: then its heights are read."""
-        vertical = np.array_equal(self._rays[1], np.broadcast_to(_DOWN, self._rays[1].shape))
-        if not vertical or self.cfg.alignment == "base":
+        _, rays = self._rays
+        are_vertical = np.array_equal(rays, np.broadcast_to(_DOWN, rays.shape))
+        if not are_vertical or self.cfg.alignment == "base":
             return None
         from embodichain.lab.sim.reads.height_field import (
             GroundHeights,  # few scenes have a terrain
@@ -317,17 +326,19 @@ class HeightScanSensor(RayCaster):
 
     def _above_ground(self, ground: GroundHeights, env_ids: EnvIndex | None) -> Floats:
         """(n, R) m: what rays would measure, without rays."""
-        cfg, (starts, _) = self.cfg, self._rays
+        cfg = self.cfg
+        starts, _ = self._rays
         position, axes = self._mount(env_ids)
         points = position[:, None] + rotate(axes[:, None], starts)
-        surface, inside = ground.read(points[..., 0], points[..., 1], env_ids)
-        height = (position + rotate(axes, np.asarray(cfg.pos, np.float64)))[:, None, 2] - surface
+        surface, has_ground = ground.read(points[..., 0], points[..., 1], env_ids)
+        place = position + rotate(axes, np.asarray(cfg.pos, np.float64))
+        height = place[:, None, 2] - surface
         start = points[..., 2] + cfg.start_height
-        near = inside & (start - surface <= cfg.max_range)
+        is_hit = has_ground & (start - surface <= cfg.max_range)
         if cfg.no_hit == "zero":
-            return np.where(near, height, 0.0)
+            return np.where(is_hit, height, 0.0)
         missing = np.inf if cfg.no_hit == "inf" else cfg.max_range - cfg.start_height
-        return np.where(near, height, missing)
+        return np.where(is_hit, height, missing)
 
     def destroy(self) -> None:
         """Drop the references to the engine."""
@@ -348,7 +359,10 @@ def _geoms_of(
     """(ngeom,) the geoms of these entities."""
     geoms: Mask = np.zeros(model.ngeom, np.bool_)
     for uid in uids:
-        geoms[model.geom(GROUND).id if uid == GROUND else entities[uid].geom_ids] = True
+        if uid == GROUND:
+            geoms[model.geom(GROUND).id] = True
+        else:
+            geoms[entities[uid].geom_ids] = True
     return geoms
 
 
@@ -357,13 +371,17 @@ def _heading(axes: Floats) -> Floats:
 
     The world's axes where x is vertical.
     """
-    ahead, left = axes[:, 0, 0], axes[:, 1, 0]
-    length = np.sqrt(ahead * ahead + left * left)
-    vertical = length < 1e-9
-    divisor = np.where(vertical, 1.0, length)
-    cos, sin = np.where(vertical, 1.0, ahead / divisor), np.where(vertical, 0.0, left / divisor)
-    found: Floats = np.zeros_like(axes)
-    found[:, 0, 0], found[:, 0, 1] = cos, -sin
-    found[:, 1, 0], found[:, 1, 1] = sin, cos
-    found[:, 2, 2] = 1.0
-    return found
+    x = axes[:, 0, 0]
+    y = axes[:, 1, 0]
+    length = np.sqrt(x * x + y * y)
+    is_vertical = length < 1e-9
+    divisor = np.where(is_vertical, 1.0, length)
+    cos = np.where(is_vertical, 1.0, x / divisor)
+    sin = np.where(is_vertical, 0.0, y / divisor)
+    heading: Floats = np.zeros_like(axes)
+    heading[:, 0, 0] = cos
+    heading[:, 0, 1] = -sin
+    heading[:, 1, 0] = sin
+    heading[:, 1, 1] = cos
+    heading[:, 2, 2] = 1.0
+    return heading

@@ -50,7 +50,8 @@ class Sampler:
         rate: float | None,
         of_positions: bool = False,
     ) -> None:
-        self._engine, self._arrays = engine, arrays
+        self._engine = engine
+        self._arrays = arrays
         self._measure = measure
         self._rate = rate
         self._of_positions = of_positions and not arrays.on_device
@@ -73,34 +74,36 @@ class Sampler:
     def _measure_due(self, version: int) -> None:
         """Measure the environments that are due."""
         time = self._engine.state("time")[:, 0]
-        kept = self._kept(time)
-        if not (self._readings and may_be_set(kept)):
+        is_current = self._is_current(time)
+        if not (self._readings and may_be_set(is_current)):
             measured = self._measure(None)
             copied = tuple(part.copy() for part in measured)
             self._readings = measured if self._of_positions else copied
-        elif may_be_set(~kept):
-            due = self._arrays.where(~kept)
+        elif may_be_set(~is_current):
+            due = self._arrays.where(~is_current)
             readings = tuple(part.copy() for part in self._readings)
             for part, new in zip(readings, self._measure(due), strict=True):
                 part[due] = new
             self._readings = readings
-        self._times = np.where(kept, self._times, time)
-        self._versions[~kept] = version
+        self._times = np.where(is_current, self._times, time)
+        self._versions[~is_current] = version
 
-    def _kept(self, time: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """(N,) environments whose readings are kept."""
-        kept: NDArray[np.bool_] = np.zeros_like(time, np.bool_)
+    def _is_current(self, time: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(N,) environments that keep their readings."""
+        is_current: NDArray[np.bool_] = np.zeros_like(time, np.bool_)
         if self._of_positions:
-            kept |= self._engine.versions <= self._versions
+            is_current |= self._engine.versions <= self._versions
         if self._rate is not None:  # the time of no measurement is infinite
-            period, last = (np.floor(t * self._rate + _TOLERANCE) for t in (time, self._times))
-            kept |= (self._times < time) & (last == period)
-        return kept
+            period = np.floor(time * self._rate + _TOLERANCE)
+            last_period = np.floor(self._times * self._rate + _TOLERANCE)
+            is_current |= (self._times < time) & (last_period == period)
+        return is_current
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Make these environments (None: all) measure at the next read."""
         rows = slice(None) if env_ids is None else env_ids
-        self._times[rows], self._versions[rows] = np.inf, -1
+        self._times[rows] = np.inf
+        self._versions[rows] = -1
         self._version = -1
 
     def state_dict(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ environments.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import lazy_loader
@@ -30,8 +31,9 @@ else:
 __all__ = ["Chain", "Frames", "matmul"]
 
 _FIELDS = ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0")
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
-"""Components of the factors of a cross product."""
+# Components of the factors of a cross product.
+_NEXT = np.array([1, 2, 0])
+_LAST = np.array([2, 0, 1])
 
 
 class Frames(NamedTuple):
@@ -48,6 +50,19 @@ class Frames(NamedTuple):
     position: F64
     axes: F64
     anchors: F64
+
+
+@dataclass(frozen=True, eq=False)
+class _Constants:
+    """What the model says of a chain; n is 1 where all environments have the same.
+
+    Attributes:
+        transforms: (K + 1, 3, 4, n) F[0] ... F[K], see `Chain`.
+        zero: (K, n) joint positions at which these hold, rad or m.
+    """
+
+    transforms: F64
+    zero: F64
 
 
 def matmul(a: F64, b: F64) -> F64:
@@ -81,28 +96,34 @@ class Chain:
 
     def __init__(self, engine: Engine, index: EntityIndex, tool: BodyFrames | int) -> None:
         self.tool = link_frame(tool) if isinstance(tool, int) else tool
-        self.body = body = int(self.tool.bodies)
-        kind = self.tool.kind
-        self._fields = (*_FIELDS, *((f"{kind}_pos", f"{kind}_quat") if kind != "link" else ()))
-        self._engine, model = engine, engine.model
-        self._bodies: list[int] = []
-        while body != index.root_body_id:
-            self._bodies.insert(0, body)
-            body = int(model.body_parentid[body])
-        column = {int(dof): joint for joint, dof in enumerate(index.dof_adr)}
-        self._joints = [j for b in self._bodies for j in _joints_of(model, b)]
+        self.body = int(self.tool.bodies)
+        self._engine = engine
+        self._fields: tuple[str, ...] = _FIELDS
+        if self.tool.kind != "link":
+            self._fields += (f"{self.tool.kind}_pos", f"{self.tool.kind}_quat")
+
+        # Bodies and MuJoCo's joints from the root to the tool.
+        model = engine.model
+        self._bodies = _bodies_between(model, index.root_body_id, self.body)
+        self._joints: list[int] = []
+        for body in self._bodies:
+            self._joints += _joints_of(model, body)
         kinds = model.jnt_type[self._joints]
-        simple = (kinds == mujoco.mjtJoint.mjJNT_HINGE) | (kinds == mujoco.mjtJoint.mjJNT_SLIDE)
-        if not simple.all():
-            name = model.joint(self._joints[int(np.argmin(simple))]).name
+        is_hinge = kinds == mujoco.mjtJoint.mjJNT_HINGE
+        is_slide = kinds == mujoco.mjtJoint.mjJNT_SLIDE
+        is_ball = ~(is_hinge | is_slide)
+        if is_ball.any():
+            name = model.joint(self._joints[int(np.argmax(is_ball))]).name
             message = f"{name!r} between the root and the tool is a ball joint"
             raise ConfigError([Problem("link_names", message)])
-        dofs = model.jnt_dofadr[self._joints]
-        self.joints: NDArray[np.int64] = np.array([column[int(d)] for d in dofs], np.int64)
-        self.hinges: NDArray[np.bool_] = kinds == mujoco.mjtJoint.mjJNT_HINGE
-        self._slides = np.flatnonzero(~self.hinges)
+
+        joint_of_dof = {int(dof): joint for joint, dof in enumerate(index.dof_adr)}
+        dofs = model.jnt_dofadr[self._joints].tolist()
+        self.joints: NDArray[np.int64] = np.array([joint_of_dof[dof] for dof in dofs], np.int64)
+        self.hinges: NDArray[np.bool_] = is_hinge
+        self._slides = np.flatnonzero(is_slide)
         self._qpos_adr = model.jnt_qposadr[self._joints]
-        self._shared: tuple[F64, F64] | None = None
+        self._shared: _Constants | None = None
 
     @property
     def is_shared(self) -> bool:
@@ -112,7 +133,7 @@ class Chain:
     @property
     def reach(self) -> float:
         """Metres: the length of all links, an upper bound of the tool's distance without slides."""
-        shifts = self._transforms(None)[0][:, :, 3]
+        shifts = self._constants(None).transforms[:, :, 3]
         return float(np.linalg.norm(shifts, axis=1).max(axis=1).sum())
 
     def frames(self, qpos: F64, env_ids: EnvIndex | None = None) -> Frames:
@@ -122,14 +143,19 @@ class Chain:
             qpos: (K, n) contiguous positions of the chain's joints, rad or m.
             env_ids: (n,) environments, or None for all; needed where model fields differ.
         """
-        transforms, zero = self._transforms(env_ids)
-        moved = qpos - zero
-        turned = np.where(self.hinges[:, None], moved, 0.0) if len(self._slides) else moved
-        cosines, sines = np.cos(turned)[:, None], np.sin(turned)[:, None]
+        constants = self._constants(env_ids)
+        transforms = constants.transforms
+        moved = qpos - constants.zero
+        angles = moved
+        if len(self._slides):
+            angles = np.where(self.hinges[:, None], moved, 0.0)
+        cosines = np.cos(angles)[:, None]
+        sines = np.sin(angles)[:, None]
         count, size = moved.shape
         # Z(q[j]) F[j + 1] of every joint, then their products.
         moves = np.empty_like(moved, shape=(count, 3, 4, size))
-        x, y = transforms[1:, 0], transforms[1:, 1]
+        x = transforms[1:, 0]
+        y = transforms[1:, 1]
         moves[:, 0] = x * cosines - y * sines
         moves[:, 1] = x * sines + y * cosines
         moves[:, 2] = transforms[1:, 2]
@@ -140,59 +166,86 @@ class Chain:
         for pose, move, product in zip(poses, moves, poses[1:], strict=False):
             product[:] = matmul(pose[:, :3], move)
             product[:, 3] += pose[:, 3]
-        return Frames(poses[-1, :, :3], poses[-1, :, 3], poses[:-1, :, 2], poses[:-1, :, 3])
+        return Frames(
+            rotation=poses[-1, :, :3],
+            position=poses[-1, :, 3],
+            axes=poses[:-1, :, 2],
+            anchors=poses[:-1, :, 3],
+        )
 
     def jacobian(self, frames: Frames) -> F64:
         """(6, K, n) velocity of the tool's origin, then angular velocity, per joint velocity."""
-        axes, anchors = np.swapaxes(frames.axes, 0, 1), np.swapaxes(frames.anchors, 0, 1)
+        axes = np.swapaxes(frames.axes, 0, 1)
+        anchors = np.swapaxes(frames.anchors, 0, 1)
         arm = frames.position[:, None] - anchors
-        found = np.empty_like(frames.position, shape=(6, *axes.shape[1:]))
-        found[:3] = axes.take(_NEXT, 0) * arm.take(_LAST, 0)
-        found[:3] -= axes.take(_LAST, 0) * arm.take(_NEXT, 0)
-        found[3:] = axes
+        jacobian = np.empty_like(frames.position, shape=(6, *axes.shape[1:]))
+        jacobian[:3] = axes.take(_NEXT, 0) * arm.take(_LAST, 0)
+        jacobian[:3] -= axes.take(_LAST, 0) * arm.take(_NEXT, 0)
+        jacobian[3:] = axes
         for slide in self._slides:
-            found[:3, slide], found[3:, slide] = axes[:, slide], 0.0
-        return found
+            jacobian[:3, slide] = axes[:, slide]
+            jacobian[3:, slide] = 0.0
+        return jacobian
 
-    def _transforms(self, env_ids: EnvIndex | None) -> tuple[F64, F64]:
-        """Constant transforms (K + 1, 3, 4, n or 1) and zero positions (K, n or 1)."""
+    def _constants(self, env_ids: EnvIndex | None) -> _Constants:
+        """Return the constants of some environments, computed once where all have the same."""
         fields = [self._engine.model_values(name) for name in self._fields]
         if all(len(values) == 1 for values in fields):
             if self._shared is None:
                 self._shared = self._compute(fields)
             return self._shared
-        chosen = [v if len(v) == 1 or env_ids is None else v[env_ids] for v in fields]
-        return self._compute(chosen)
+        if env_ids is not None:
+            fields = [values if len(values) == 1 else values[env_ids] for values in fields]
+        return self._compute(fields)
 
-    def _compute(self, fields: Sequence[F64]) -> tuple[F64, F64]:
-        body_pos, body_quat, jnt_pos, jnt_axis, qpos0, *own = fields
+    def _compute(self, fields: Sequence[F64]) -> _Constants:
+        """Walk from the root to the tool.
+
+        Args:
+            fields: (n or 1, ...) values of the fields `_fields`.
+        """
+        body_pos, body_quat, jnt_pos, jnt_axis, qpos0, *of_tool = fields
         model = self._engine.model
         rows = max(len(values) for values in fields)
-        turn, shift = np.tile(np.eye(3)[..., None], rows), np.zeros((3, rows))
-        found: list[F64] = []
+        # The pose reached so far, in the frame after the last joint.
+        turn = np.tile(np.eye(3)[..., None], rows)
+        shift = np.zeros((3, rows))
+        transforms: list[F64] = []
         for body in self._bodies:
             shift = shift + matmul(turn, body_pos[:, body].T)
             turn = matmul(turn, np.moveaxis(quat_to_matrix(body_quat[:, body]), 0, -1))
             for joint in _joints_of(model, body):
                 to_axis = _from_z(jnt_axis[:, joint])
-                back = np.swapaxes(to_axis, 0, 1)
-                hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-                anchor = jnt_pos[:, joint].T if hinge else np.zeros((3, 1))
-                found.append(_pose(matmul(turn, to_axis), shift + matmul(turn, anchor), rows))
-                turn, shift = back, matmul(back, -anchor)
-        if own:
-            pos, quat = (values[:, self.tool.ids] for values in own)
+                is_hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+                # Where the axis of a slide lies makes no difference.
+                anchor = jnt_pos[:, joint].T if is_hinge else np.zeros((3, 1))
+                rotation = matmul(turn, to_axis)
+                transforms.append(_pose(rotation, shift + matmul(turn, anchor), rows))
+                turn = np.swapaxes(to_axis, 0, 1)
+                shift = matmul(turn, -anchor)
+        if of_tool:
+            pos, quat = (values[:, self.tool.ids] for values in of_tool)
             shift = shift + matmul(turn, pos.T)
             turn = matmul(turn, np.moveaxis(quat_to_matrix(quat), 0, -1))
-        found.append(_pose(turn, shift, rows))
-        return np.stack(found), qpos0[:, self._qpos_adr].T
+        transforms.append(_pose(turn, shift, rows))
+        return _Constants(np.stack(transforms), qpos0[:, self._qpos_adr].T)
 
 
 def _pose(rotation: F64, position: F64, rows: int) -> F64:
     """(3, 4, rows) of a rotation (3, 3, rows or 1) and a position (3, rows or 1)."""
-    found = np.empty((3, 4, rows))
-    found[:, :3], found[:, 3] = rotation, position
-    return found
+    pose = np.empty((3, 4, rows))
+    pose[:, :3] = rotation
+    pose[:, 3] = position
+    return pose
+
+
+def _bodies_between(model: mujoco.MjModel, root: int, body: int) -> list[int]:
+    """Return the bodies below a root, down to one of them."""
+    bodies: list[int] = []
+    while body != root:
+        bodies.insert(0, body)
+        body = int(model.body_parentid[body])
+    return bodies
 
 
 def _joints_of(model: mujoco.MjModel, body: int) -> range:
@@ -203,8 +256,14 @@ def _joints_of(model: mujoco.MjModel, body: int) -> range:
 def _from_z(axis: F64) -> F64:
     """(3, 3, n) rotations that turn z to unit vectors (n, 3), by the shorter way."""
     x, y, z = axis.T
-    up = z > -1.0 + 1e-12
-    half = np.stack([np.where(up, 1.0 + z, 0.0), np.where(up, -y, 1.0), np.where(up, x, 0.0)])
+    is_below = z <= -1.0 + 1e-12  # any half turn about a level axis does
+    half = np.stack(
+        [
+            np.where(is_below, 0.0, 1.0 + z),
+            np.where(is_below, 1.0, -y),
+            np.where(is_below, 0.0, x),
+        ]
+    )
     half = half / np.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
     quat = np.concatenate([half, np.zeros((1, len(axis)))]).T
     return np.moveaxis(quat_to_matrix(quat), 0, -1)

@@ -40,8 +40,14 @@ _LONGEST_STEP = 0.5
 """Largest motion of a joint in one iteration, rad or m."""
 _SHORTEST_STEP = 1e-5
 """Motion in rad or m of every joint in an iteration below which a search ends."""
-_PATIENCE, _PROGRESS = 8, 0.9
-"""A search ends when this many iterations leave more than this share of the squared error."""
+_PATIENCE = 8
+"""Iterations after which a search must have made progress."""
+_PROGRESS = 0.9
+"""Share of the squared error that they may leave at most; else the search ends."""
+_SETTLED_IN_POSTURE = 1e-3
+"""Like `_SHORTEST_STEP`, where a posture pulls: it does so ever more slowly."""
+_POSTURE_SHARE = 0.2
+"""Part of the way to the posture in one iteration."""
 _ROWS = 8192
 """Searches that run together at most, where there are several for each environment."""
 _ROUNDS = 3
@@ -63,13 +69,13 @@ class Target:
     @classmethod
     def of(cls, pos: F64, quat: F64 | None) -> Target:
         """The targets of positions (n, 3) and orientations (n, 4) wxyz."""
-        turned = None if quat is None else np.moveaxis(quat_to_matrix(quat), 0, -1)
-        return cls(contiguous(pos.T), turned)
+        rotation = None if quat is None else np.moveaxis(quat_to_matrix(quat), 0, -1)
+        return cls(contiguous(pos.T), rotation)
 
     def rows(self, which: NDArray[np.int64]) -> Target:
         """The targets of some of the environments."""
-        turned = None if self.rotation is None else self.rotation[..., which]
-        return Target(self.position[:, which], turned)
+        rotation = None if self.rotation is None else self.rotation[..., which]
+        return Target(self.position[:, which], rotation)
 
 
 def pose_error(frames: Frames, target: Target) -> F64:
@@ -111,25 +117,30 @@ def joint_step(
         (k, n) changes of joint positions within the bounds.
     """
     damping = 0.5 * squared(error) + _DAMPING
-    wanted = np.zeros_like(lowest)
     if posture is None:
+        null_motion = np.zeros_like(lowest)
         step = _solved(error, jacobian, damping)
     else:
-        wanted = clamped(posture, lowest, highest)
-        step = wanted + _solved(error - times(jacobian, wanted), jacobian, damping)
-    fixed = beyond = (step < lowest) | (step > highest)
+        null_motion = clamped(posture, lowest, highest)
+        remaining = error - times(jacobian, null_motion)
+        step = null_motion + _solved(remaining, jacobian, damping)
+    is_beyond = (step < lowest) | (step > highest)
+    is_fixed = is_beyond
     for _ in range(_ROUNDS - 1):
         rows: Any = slice(None)  # on a device all, where the same step is found again
         if is_host(step):
-            rows = np.flatnonzero(beyond.any(axis=0))
+            rows = np.flatnonzero(is_beyond.any(axis=0))
             if not len(rows):
                 break
-        bounded, columns = clamped(step, lowest, highest)[:, rows], jacobian[..., rows]
-        motion = np.where(fixed[:, rows], bounded, wanted[:, rows])
-        left = error[:, rows] - times(columns, motion)
-        step[:, rows] = motion + _solved(left, columns * ~fixed[:, rows], damping[rows])
-        beyond = ((step < lowest) | (step > highest)) & ~fixed
-        fixed = fixed | beyond
+        at_bound = clamped(step, lowest, highest)[:, rows]
+        columns = jacobian[..., rows]
+        motion = np.where(is_fixed[:, rows], at_bound, null_motion[:, rows])
+        remaining = error[:, rows] - times(columns, motion)
+        # A fixed joint has no column: the others make up for it.
+        free_columns = columns * ~is_fixed[:, rows]
+        step[:, rows] = motion + _solved(remaining, free_columns, damping[rows])
+        is_beyond = ((step < lowest) | (step > highest)) & ~is_fixed
+        is_fixed = is_fixed | is_beyond
     return clamped(step, lowest, highest)
 
 
@@ -209,8 +220,10 @@ class LeastSquares:
         max_iterations: int,
         posture: F64 | None = None,
     ) -> None:
-        self._chain, self._moving = chain, moving
-        self._tolerances = position_tolerance, rotation_tolerance
+        self._chain = chain
+        self._moving = moving
+        self._position_tolerance = position_tolerance
+        self._rotation_tolerance = rotation_tolerance
         self._iterations = max_iterations
         self._posture = posture
 
@@ -238,19 +251,25 @@ class LeastSquares:
             else of the one that comes nearest; (n,) whether the target is reached.
         """
         count = start.shape[1]
-        best, nearest = start.copy(), np.full(count, np.inf)
+        best = start.copy()
+        shortest = np.full(count, np.inf)
         reached = np.zeros(count, np.bool_)
-        left = np.arange(count)
+        rows = np.arange(count)  # where no search has succeeded yet
         for point in self._points(restarts):
-            ids = left if env_ids is None else env_ids[left]
-            least, most = low[:, left], high[:, left]
-            qpos = self._initial(start[:, left], point, least, most)
-            found, distance, done = self._search(qpos, target.rows(left), least, most, ids)
-            better = distance < nearest[left]
-            best[:, left[better]], nearest[left[better]] = found[:, better], distance[better]
-            best[:, left[done]], reached[left[done]] = found[:, done], True
-            left = left[~done]
-            if not len(left):
+            ids = rows if env_ids is None else env_ids[rows]
+            lowest = low[:, rows]
+            highest = high[:, rows]
+            qpos = self._initial(start[:, rows], point, lowest, highest)
+            qpos, distance, done = self._search(
+                qpos, target.rows(rows), low=lowest, high=highest, ids=ids
+            )
+            is_better = distance < shortest[rows]
+            best[:, rows[is_better]] = qpos[:, is_better]
+            shortest[rows[is_better]] = distance[is_better]
+            best[:, rows[done]] = qpos[:, done]
+            reached[rows[done]] = True
+            rows = rows[~done]
+            if not len(rows):
                 break
         return best, reached
 
@@ -280,27 +299,27 @@ class LeastSquares:
         points = self._points(restarts)
         together = max(1, _ROWS // max(count, 1))
         parts = [points[i : i + together] for i in range(0, len(points), together)]
-        found, reached = [], []
-        rows = np.arange(count)
-        ids = rows if env_ids is None else env_ids
+        solutions = []
+        reached = []
+        ids = np.arange(count) if env_ids is None else env_ids
         for part in parts:
-            every = np.tile(rows, len(part))
+            rows = np.tile(np.arange(count), len(part))
             starts = [self._initial(start.copy(), point, low, high) for point in part]
             qpos, _, done = self._search(
                 np.concatenate(starts, axis=1),
-                target.rows(every),
-                low[:, every],
-                high[:, every],
-                ids[every],
+                target.rows(rows),
+                low=low[:, rows],
+                high=high[:, rows],
+                ids=ids[rows],
             )
-            found.append(np.moveaxis(qpos.reshape(len(qpos), len(part), count), 1, 0))
+            solutions.append(np.moveaxis(qpos.reshape(len(qpos), len(part), count), 1, 0))
             reached.append(done.reshape(len(part), count))
-        return np.concatenate(found), np.concatenate(reached)
+        return np.concatenate(solutions), np.concatenate(reached)
 
     def _points(self, restarts: int) -> list[F64 | None]:
         """Where searches begin: None is the initial positions, (k,) are shares of the ranges."""
-        drawn = RandomStreams(0, 1).uniform("restarts", (restarts, len(self._moving)))
-        return [None, *drawn[0]]
+        shares = RandomStreams(0, 1).uniform("restarts", (restarts, len(self._moving)))
+        return [None, *shares[0]]
 
     def _initial(self, qpos: F64, point: F64 | None, low: F64, high: F64) -> F64:
         """(K, n) positions with which a search begins; `qpos` is changed in place."""
@@ -312,47 +331,66 @@ class LeastSquares:
         return qpos
 
     def _search(
-        self, qpos: F64, target: Target, low: F64, high: F64, ids: EnvIndex
+        self, qpos: F64, target: Target, *, low: F64, high: F64, ids: EnvIndex
     ) -> tuple[F64, F64, NDArray[np.bool_]]:
-        """Joint positions (K, n), lengths of the pose errors (n,), and whether they are reached."""
-        count, moving = qpos.shape[1], self._moving
-        found, distance = qpos.copy(), np.empty(count)
+        """Run one search each, from positions `qpos`, which are changed.
+
+        Returns:
+            (K, n) joint positions, (n,) squared lengths of the pose errors, (n,) whether the
+            targets are reached.
+        """
+        count = qpos.shape[1]
+        moving = self._moving
+        solution = qpos.copy()
+        distance = np.empty(count)
         done = np.zeros(count, np.bool_)
-        rows = np.arange(count)
-        earlier = np.full(count, np.inf)
+        rows = np.arange(count)  # whose search goes on
+        earlier_length = np.full(count, np.inf)
         for iteration in range(self._iterations + 1):
             frames = self._chain.frames(qpos, ids)
             error = pose_error(frames, target)
             length = squared(error)
-            reached = squared(error[:3]) < self._tolerances[0] ** 2
+            reached = squared(error[:3]) < self._position_tolerance**2
             if len(error) > 3:
-                reached &= squared(error[3:]) < self._tolerances[1] ** 2
+                reached &= squared(error[3:]) < self._rotation_tolerance**2
+
             jacobian = self._chain.jacobian(frames)[: len(error), moving]
-            now = qpos[moving]
-            lean = self._towards_posture(now)
-            step = joint_step(error, jacobian, low - now, high - now, lean)
+            moving_qpos = qpos[moving]
+            lean = self._towards_posture(moving_qpos)
+            step = joint_step(error, jacobian, low - moving_qpos, high - moving_qpos, posture=lean)
             longest = np.abs(step).max(axis=0)
             step = step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-12))
-            settled = longest <= (_SHORTEST_STEP if lean is None else 1e-3)
-            over = settled | (reached if lean is None else False)
+
+            if lean is None:
+                is_over = (longest <= _SHORTEST_STEP) | reached
+            else:
+                # A target that is reached may still be reached in a better posture.
+                is_over = longest <= _SETTLED_IN_POSTURE
             if iteration == self._iterations:
-                over[:] = True
+                is_over[:] = True
             elif iteration % _PATIENCE == 0 and lean is None:
-                over |= length > _PROGRESS * earlier
-                earlier = length
-            found[:, rows[over]], distance[rows[over]] = qpos[:, over], length[over]
-            done[rows[over]] = reached[over]
-            go = ~over
-            if not go.any():
+                is_over |= length > _PROGRESS * earlier_length
+                earlier_length = length
+            solution[:, rows[is_over]] = qpos[:, is_over]
+            distance[rows[is_over]] = length[is_over]
+            done[rows[is_over]] = reached[is_over]
+
+            goes_on = ~is_over
+            if not goes_on.any():
                 break
-            qpos[moving] = now + step
-            if not go.all():
-                rows, ids, qpos, target = rows[go], ids[go], qpos[:, go], target.rows(go)
-                low, high, earlier = low[:, go], high[:, go], earlier[go]
-        return found, distance, done
+            qpos[moving] = moving_qpos + step
+            if not goes_on.all():
+                rows = rows[goes_on]
+                ids = ids[goes_on]
+                qpos = qpos[:, goes_on]
+                target = target.rows(goes_on)
+                low = low[:, goes_on]
+                high = high[:, goes_on]
+                earlier_length = earlier_length[goes_on]
+        return solution, distance, done
 
     def _towards_posture(self, qpos: F64) -> F64 | None:
         """(k, n) a part of the way from the moving joints' positions to the posture."""
         if self._posture is None:
             return None
-        return 0.2 * np.nan_to_num(self._posture[:, None] - qpos)
+        return _POSTURE_SHARE * np.nan_to_num(self._posture[:, None] - qpos)

@@ -47,21 +47,24 @@ def ranked(
     """
     low, high = limits
     turned = found + 2.0 * np.pi * np.round((seed - found) / (2.0 * np.pi))
-    # A whole turn back into the limits, where the nearest one is outside.
-    over, under = turned > high + _CLOSE, turned < low - _CLOSE
+    # Whole turns back into the limits, where the nearest one is outside. A limit may be infinite:
+    # it is replaced where it is not needed, since inf - inf is NaN.
+    is_over = turned > high + _CLOSE
+    is_under = turned < low - _CLOSE
+    turns_up = np.ceil((np.where(is_under, low, 0.0) - turned) / (2.0 * np.pi))
+    turns_down = np.ceil((turned - np.where(is_over, high, 0.0)) / (2.0 * np.pi))
     turned = turned + 2.0 * np.pi * (
-        np.where(under, np.ceil((np.where(under, low, 0.0) - turned) / (2.0 * np.pi)), 0.0)
-        - np.where(over, np.ceil((turned - np.where(over, high, 0.0)) / (2.0 * np.pi)), 0.0)
+        np.where(is_under, turns_up, 0.0) - np.where(is_over, turns_down, 0.0)
     )
     if hinges is not None:
         turned = np.where(hinges[:, None], turned, found)
-    inside = (turned >= low - _CLOSE) & (turned <= high + _CLOSE)
-    exist = exist & inside.all(axis=1)
+    is_inside = (turned >= low - _CLOSE) & (turned <= high + _CLOSE)
+    exist = exist & is_inside.all(axis=1)
     turned = np.clip(turned, low, high)
     distance = np.zeros(exist.shape)
     for joint, weight in enumerate(weights):
-        gap = turned[:, joint] - seed[joint]
-        distance = distance + weight * (gap * gap)
+        offset = turned[:, joint] - seed[joint]
+        distance = distance + weight * (offset * offset)
     order = np.argsort(np.where(exist, distance, np.inf), axis=0, kind="stable")
     return _ordered(turned, exist, order, seed)
 
@@ -77,11 +80,11 @@ def distinct(found: F64, exist: NDArray[np.bool_], seed: F64) -> tuple[F64, NDAr
     Returns:
         As of `ranked`.
     """
-    kept = exist.copy()
+    is_first = exist.copy()
     for i in range(1, len(found)):
-        apart = np.abs(found[:i] - found[i]).max(axis=1)
-        kept[i] &= ~((apart <= _SAME) & kept[:i]).any(axis=0)
-    return _ordered(found, kept, np.argsort(~kept, axis=0, kind="stable"), seed)
+        difference = np.abs(found[:i] - found[i]).max(axis=1)
+        is_first[i] &= ~((difference <= _SAME) & is_first[:i]).any(axis=0)
+    return _ordered(found, is_first, np.argsort(~is_first, axis=0, kind="stable"), seed)
 
 
 def _ordered(

@@ -5,6 +5,7 @@ Environments are in the last axis, as in `chain`.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,19 @@ _CLOSE = 1e-6
 """Metres, and sines of angles: differences from the geometry that still count as equal."""
 _SINGULAR = 1e-8
 """Sine of joint 5 below which joint 6 is not determined by the pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Transform:
+    """A constant pose, with an axis for environments.
+
+    Attributes:
+        rotation: (3, 3, 1).
+        position: (3, 1) metres.
+    """
+
+    rotation: F64
+    position: F64
 
 
 class UrArm:
@@ -53,36 +67,58 @@ class UrArm:
     def _fit(self, chain: Chain) -> None:
         """Find the frames at joint positions 0."""
         frames = chain.frames(np.zeros((6, 1)), np.zeros(1, np.int64))
-        z, p = frames.axes[..., 0].copy(), frames.anchors[..., 0]
+        z = frames.axes[..., 0].copy()
+        anchors = frames.anchors[..., 0]
         signs = np.ones(6)
         for joint in (2, 3):  # parallel axes in the same direction
             if z[joint] @ z[1] < 0:
-                signs[joint], z[joint] = -1.0, -z[joint]
-        square = [abs(z[i] @ z[i + 1]) < _CLOSE for i in (0, 3, 4)]
-        parallel = [np.linalg.norm(np.cross(z[1], z[i])) < _CLOSE for i in (2, 3)]
-        meet = [_meeting(p[i], z[i], p[i + 1], z[i + 1]) for i in (0, 3, 4)]
-        if not all(square) or not all(parallel) or any(point is None for point in meet):
+                signs[joint] = -1.0
+                z[joint] = -z[joint]
+
+        # Is it the geometry of the family?
+        are_square = all(abs(z[i] @ z[i + 1]) < _CLOSE for i in (0, 3, 4))
+        are_parallel = all(np.linalg.norm(np.cross(z[1], z[i])) < _CLOSE for i in (2, 3))
+        shoulder = _meeting(anchors[0], z[0], anchors[1], z[1])
+        wrist = _meeting(anchors[3], z[3], anchors[4], z[4])
+        centre = _meeting(anchors[4], z[4], anchors[5], z[5])
+        if not are_square or not are_parallel:
             return
-        shoulder, wrist, centre = (np.asarray(point) for point in meet)
-        elbow = p[2] + ((shoulder - p[2]) @ z[2]) * z[2]
-        fore = p[3] + ((shoulder - p[3]) @ z[3]) * z[3]
-        a2, a3 = np.linalg.norm(elbow - shoulder), np.linalg.norm(fore - elbow)
+        if shoulder is None or wrist is None or centre is None:
+            return
+        # Points of axes 3 and 4 in the plane of the arm, which the shoulder is in.
+        elbow = anchors[2] + ((shoulder - anchors[2]) @ z[2]) * z[2]
+        forearm_end = anchors[3] + ((shoulder - anchors[3]) @ z[3]) * z[3]
+        a2 = np.linalg.norm(elbow - shoulder)
+        a3 = np.linalg.norm(forearm_end - elbow)
         if min(a2, a3) < _CLOSE:
             return
-        x1 = np.cross(z[0], z[1])
-        x = [x1, x1, (elbow - shoulder) / a2, (fore - elbow) / a3]
-        x += [np.cross(z[3], z[4]), np.cross(z[5], z[4])]
-        x += [x[5]]
-        angles = [_angle(x[i], x[i + 1], z[i]) for i in range(6)]
-        d4, d5 = (wrist - fore) @ z[3], (centre - wrist) @ z[4]
-        self.lengths = float(a2), float(a3), float(d4), float(d5)
-        self._signs, self._zero = signs[:, None], np.array(angles)[:, None]
-        # The frame before joint 1 and the one after joint 6, with the tool in it.
-        base = np.stack([x1, np.cross(z[0], x1), z[0]], axis=1)
-        end = np.stack([x[6], np.cross(z[5], x[6]), z[5]], axis=1)
-        self._base = base[..., None], shoulder[:, None]
-        tool = end.T @ frames.rotation[..., 0], end.T @ (frames.position[:, 0] - centre)
-        self._tool = tool[0][..., None], tool[1][:, None]
+        d4 = (wrist - forearm_end) @ z[3]
+        d5 = (centre - wrist) @ z[4]
+        self.lengths = (float(a2), float(a3), float(d4), float(d5))
+
+        # The x axes of the frames before each joint, and of the one after the last.
+        base_x = np.cross(z[0], z[1])
+        end_x = np.cross(z[5], z[4])
+        x = [
+            base_x,
+            base_x,
+            (elbow - shoulder) / a2,
+            (forearm_end - elbow) / a3,
+            np.cross(z[3], z[4]),
+            end_x,
+            end_x,
+        ]
+        zero = [_angle(x[i], x[i + 1], z[i]) for i in range(6)]
+        self._signs = signs[:, None]
+        self._zero = np.array(zero)[:, None]
+
+        # The frame before joint 1 in that of the root, and the tool in the one after joint 6.
+        base = np.stack([base_x, np.cross(z[0], base_x), z[0]], axis=1)
+        self._base = _Transform(base[..., None], shoulder[:, None])
+        to_end = np.stack([end_x, np.cross(z[5], end_x), z[5]], axis=1).T
+        tool_rotation = to_end @ frames.rotation[..., 0]
+        tool_position = to_end @ (frames.position[:, 0] - centre)
+        self._tool = _Transform(tool_rotation[..., None], tool_position[:, None])
         self.fits = True
 
     def solutions(self, position: F64, rotation: F64) -> tuple[F64, NDArray[np.bool_]]:
@@ -97,46 +133,61 @@ class UrArm:
             axes 4 and 6 are parallel, joint 6 is 0 and joint 4 follows.
         """
         a2, a3, d4, d5 = self.lengths
-        turn = matmul(rotation, np.swapaxes(self._tool[0], 0, 1))
-        centre = position - matmul(turn, self._tool[1])
-        back = np.swapaxes(self._base[0], 0, 1)
-        turn, centre = matmul(back, turn), matmul(back, centre - self._base[1])
+        # The frame after joint 6, in the one before joint 1: its axes x, y, z and its origin.
+        to_base = np.swapaxes(self._base.rotation, 0, 1)
+        turn = matmul(rotation, np.swapaxes(self._tool.rotation, 0, 1))
+        centre = position - matmul(turn, self._tool.position)
+        centre = matmul(to_base, centre - self._base.position)
+        turn = matmul(to_base, turn)
+        x6 = turn[:, 0]
+        y6 = turn[:, 1]
+        z6 = turn[:, 2]
+
         count = centre.shape[1]
-        found, exist = np.zeros((8, 6, count)), np.zeros((8, count), np.bool_)
+        angles = np.zeros((8, 6, count))
+        exist = np.zeros((8, count), np.bool_)
         radius = np.sqrt(centre[0] * centre[0] + centre[1] * centre[1])
-        reaches = radius >= abs(d4)
+        is_in_reach = radius >= abs(d4)
         lean = np.arcsin(np.clip(d4 / np.maximum(radius, 1e-12), -1.0, 1.0))
         heading = np.arctan2(centre[1], centre[0])
-        for shoulder in (0, 1):
-            first = heading + (np.pi - lean if shoulder else lean)
-            c1, s1 = np.cos(first), np.sin(first)
-            # Components of the tool's x, y, z along axis 2.
-            along = [turn[0, i] * s1 - turn[1, i] * c1 for i in range(3)]
-            for wrist in (0, 1):
-                sine = np.sqrt(along[0] * along[0] + along[1] * along[1])
-                sine = -sine if wrist else sine
-                fifth = np.arctan2(sine, along[2])
-                sign = np.where(sine < 0, -1.0, 1.0)
-                determined = np.abs(sine) > _SINGULAR
-                sixth = np.where(determined, np.arctan2(-sign * along[1], sign * along[0]), 0.0)
-                c5, s5 = np.cos(fifth), np.sin(fifth)
-                c6, s6 = np.cos(sixth), np.sin(sixth)
-                x5, y5 = turn[:, 0] * c6 - turn[:, 1] * s6, turn[:, 0] * s6 + turn[:, 1] * c6
-                x4 = x5 * c5 - turn[:, 2] * s5
-                fore = centre + y5 * d5  # axis 5 is -y5
-                across, up = fore[0] * c1 + fore[1] * s1, fore[2]
+        for shoulder, first in enumerate((heading + lean, heading + (np.pi - lean))):
+            c1 = np.cos(first)
+            s1 = np.sin(first)
+            # Components along axis 2: what joint 5 and 6 alone decide.
+            x_along = x6[0] * s1 - x6[1] * c1
+            y_along = y6[0] * s1 - y6[1] * c1
+            z_along = z6[0] * s1 - z6[1] * c1
+            sine = np.sqrt(x_along * x_along + y_along * y_along)
+            for wrist, s5 in enumerate((sine, -sine)):
+                fifth = np.arctan2(s5, z_along)
+                sign = np.where(s5 < 0, -1.0, 1.0)
+                is_determined = np.abs(s5) > _SINGULAR
+                sixth = np.arctan2(-sign * y_along, sign * x_along)
+                sixth = np.where(is_determined, sixth, 0.0)
+
+                # Back from the end, over joints 6 and 5, to the three with parallel axes.
+                c6 = np.cos(sixth)
+                s6 = np.sin(sixth)
+                x5 = x6 * c6 - y6 * s6
+                y5 = x6 * s6 + y6 * c6
+                x4 = x5 * np.cos(fifth) - z6 * np.sin(fifth)
+                forearm_end = centre + y5 * d5  # axis 5 is -y5
+                pitch = np.arctan2(x4[2], x4[0] * c1 + x4[1] * s1)
+
+                # A triangle of upper arm and forearm, in the plane at right angles to the axes.
+                across = forearm_end[0] * c1 + forearm_end[1] * s1
+                up = forearm_end[2]
                 cosine = (across * across + up * up - a2 * a2 - a3 * a3) / (2.0 * a2 * a3)
                 bend = np.arccos(np.clip(cosine, -1.0, 1.0))
-                whole = np.arctan2(x4[2], x4[0] * c1 + x4[1] * s1)
-                possible = reaches & (np.abs(cosine) <= 1.0 + 1e-12)
-                for elbow in (0, 1):
-                    third = -bend if elbow else bend
-                    reach = np.arctan2(a3 * np.sin(third), a2 + a3 * np.cos(third))
-                    second = np.arctan2(up, across) - reach
+                is_possible = is_in_reach & (np.abs(cosine) <= 1.0 + 1e-12)
+                for elbow, third in enumerate((bend, -bend)):
+                    inner = np.arctan2(a3 * np.sin(third), a2 + a3 * np.cos(third))
+                    second = np.arctan2(up, across) - inner
+                    fourth = pitch - second - third
                     number = 4 * shoulder + 2 * wrist + elbow
-                    angles = [first, second, third, whole - second - third, fifth, sixth]
-                    found[number], exist[number] = np.stack(angles), possible
-        return wrapped((found - self._zero) * self._signs), exist
+                    angles[number] = np.stack([first, second, third, fourth, fifth, sixth])
+                    exist[number] = is_possible
+        return wrapped((angles - self._zero) * self._signs), exist
 
     def nearest(
         self,
@@ -161,8 +212,8 @@ class UrArm:
             (8, 6, n) joint positions, those of solutions that do not exist being the seed's; (8, n)
             whether they exist.
         """
-        found, exist = self.solutions(position, rotation)
-        return ranked(found, exist, seed, (low, high), weights)
+        solutions, exist = self.solutions(position, rotation)
+        return ranked(solutions, exist, seed, limits=(low, high), weights=weights)
 
 
 def _angle(start: F64, end: F64, axis: F64) -> float:
@@ -174,4 +225,6 @@ def _meeting(p: F64, u: F64, q: F64, v: F64) -> F64 | None:
     """Where two perpendicular lines (point, direction) meet, or None."""
     on_first: F64 = p + ((q - p) @ u) * u
     on_second: F64 = q + ((p - q) @ v) * v
-    return on_first if np.linalg.norm(on_first - on_second) < _CLOSE else None
+    if np.linalg.norm(on_first - on_second) >= _CLOSE:
+        return None
+    return on_first

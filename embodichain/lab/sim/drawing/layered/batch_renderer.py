@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -24,7 +25,7 @@ from embodichain.lab.sim.drawing.layered.lighting import (
     positional,
     shadow_views,
 )
-from embodichain.lab.sim.drawing.layered.projections import view_table
+from embodichain.lab.sim.drawing.layered.projections import EYE_ROW, VIEW_ROWS, view_table
 from embodichain.lab.sim.drawing.layered.targets import (
     OUTPUT_BYTES,
     PictureTarget,
@@ -33,7 +34,7 @@ from embodichain.lab.sim.drawing.layered.targets import (
 )
 from embodichain.lab.sim.drawing.layered.textures import SceneTextures
 from embodichain.lab.sim.drawing.looks import SurfaceTable, Unchanged
-from embodichain.lab.sim.drawing.views import DrawnState, Pictures, View
+from embodichain.lab.sim.drawing.views import DrawnState, Output, Pictures, View
 from embodichain.utils.errors import RenderError
 from embodichain.utils.system import platforms
 
@@ -44,11 +45,54 @@ _log = logging.getLogger(__name__)
 Index = NDArray[np.int64]
 _CHUNK_BYTES = 256 * 2**20
 """Memory of what is drawn at once; and of all targets that are kept."""
-_DETAILS = ((128, 24, 150), (256, 24, 400), (400, 24, 1500))
-"""Longest side of a picture in fast look, slices of round geoms, triangles of a mesh."""
-_SLICES = 32
+
+
+@dataclass(frozen=True)
+class _Detail:
+    """How finely shapes are drawn.
+
+    Attributes:
+        longest_side: Pixels of the largest picture that is drawn so, in fast look.
+        slices: Around round geoms.
+        triangles: Most triangles of a mesh; None draws all.
+    """
+
+    longest_side: float
+    slices: int
+    triangles: int | None
+
+
+_DETAILS = (
+    _Detail(longest_side=128, slices=24, triangles=150),
+    _Detail(longest_side=256, slices=24, triangles=400),
+    _Detail(longest_side=400, slices=24, triangles=1500),
+    _Detail(longest_side=np.inf, slices=32, triangles=None),
+)
+_FULL_DETAIL = len(_DETAILS) - 1
 _SHADOW_DETAIL = 1
-_TEXTURE_DEFINES = ("TEXTURE_2D", "TEXTURE_CUBE")
+
+
+@dataclass(frozen=True)
+class _TargetKind:
+    """Pictures that can be layers of one target.
+
+    Depth and mask have one sample a pixel, colour in full look has four.
+
+    Attributes:
+        width, height: Pixels.
+        outputs: What is drawn of each.
+        is_full: Whether they are drawn in full look.
+    """
+
+    width: int
+    height: int
+    outputs: tuple[Output, ...]
+    is_full: bool
+
+    @property
+    def samples(self) -> int:
+        """Samples of a pixel, along each side."""
+        return 2 if self.is_full else 1
 
 
 class BatchRenderer:
@@ -66,18 +110,25 @@ class BatchRenderer:
         self, model: mujoco.MjModel, mark: Callable[[str], object] = lambda name: None
     ) -> None:
         self.context = Context()
-        self._model, self._mark = model, mark
+        self._model = model
+        self._mark = mark
         _warn_of_what_is_not_drawn(model)
+
+        # The scene: the same for all pictures.
         self._textures = SceneTextures(model)
         self._surfaces = SurfaceTable(model, self._textures.layers)
-        self._meshes: dict[int, _Meshes] = {}
+        self._meshes: dict[int, _Meshes] = {}  # level of detail -> its triangles
+
+        # What the programs read.
         self._programs: dict[Any, Program] = {}
         names = ("poses", "looks", "views", "lights", "shadowViews", "order")
         self._numbers = {name: NumberTexture(shaders.UNITS[name]) for name in names}
-        self._targets: dict[Any, PictureTarget] = {}
+        self._uniforms: dict[str, Any] = {}
+
+        # What they draw into.
+        self._targets: dict[tuple[_TargetKind, int], PictureTarget] = {}
         self._shadow_maps: ShadowMaps | None = None
         self._shadows_same = Unchanged()
-        self._uniforms: dict[str, Any] = {}
 
     def draw(
         self, state: DrawnState, views: Sequence[View], envs: Index | None = None
@@ -99,21 +150,19 @@ class BatchRenderer:
         self._refuse_too_large(views, len(rows))
         self.context.make_current()
         self._surfaces.update(state)
-        most = self._most(views)
-        starts = range(0, max(len(rows), 1), most)
-        chunks = [self._draw_chunk(state, views, rows[start : start + most]) for start in starts]
+        size = self._chunk_size(views)
+        starts = range(0, max(len(rows), 1), size)
+        chunks = [self._draw_chunk(state, views, rows[start : start + size]) for start in starts]
         if len(chunks) == 1:
             return chunks[0]
-        return [
-            {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-            for parts in zip(*chunks, strict=True)
-        ]
+        return [_joined(pictures_of_view) for pictures_of_view in zip(*chunks, strict=True)]
 
     def _refuse_too_large(self, views: Sequence[View], count: int) -> None:
         total = 0
         for view in views:
-            width, height = view.optics.width, view.optics.height
-            samples = 2 if view.look == "full" else 1
+            width = view.optics.width
+            height = view.optics.height
+            samples = _samples(view)
             if max(width, height) * samples > self.context.max_pixels:
                 most = self.context.max_pixels // samples
                 message = f"a picture of {width} x {height} is too large"
@@ -128,45 +177,50 @@ class BatchRenderer:
                 f"{message}; this machine has {memory / 2**30:.1f}: draw fewer, or smaller ones"
             )
 
-    def _most(self, views: Sequence[View]) -> int:
+    def _chunk_size(self, views: Sequence[View]) -> int:
         """How many environments are drawn at once: bounded by layers, and by memory."""
-        each = sum(
-            picture_bytes(v.optics.width, v.optics.height, 2 if v.look == "full" else 1)
-            for v in views
+        env_bytes = sum(
+            picture_bytes(view.optics.width, view.optics.height, _samples(view)) for view in views
         )
-        by_memory = _CHUNK_BYTES // max(1, each)
-        return max(1, min(by_memory, self.context.max_layers // max(1, len(views))))
+        by_memory = _CHUNK_BYTES // max(1, env_bytes)
+        by_layers = self.context.max_layers // max(1, len(views))
+        return max(1, min(by_memory, by_layers))
 
     def _draw_chunk(self, state: DrawnState, views: Sequence[View], rows: Index) -> list[Pictures]:
         frame = _Frame(state, rows, self._surfaces)
         self._upload(frame)
-        found: list[Pictures] = [{} for _ in views]
-        for (width, height, outputs, full), members in _groups(views).items():
-            of_group = [views[i] for i in members]
-            table = view_table(of_group, rows)
+        pictures: list[Pictures] = [{} for _ in views]
+        for kind, members in _by_target(views).items():
+            members_views = [views[index] for index in members]
+            table = view_table(members_views, rows)
             self._numbers["views"].upload(table)
             self._mark("upload")
-            target = self._target(width, height, len(members) * len(rows), outputs, full)
-            pictures = self._draw_into(target, frame, of_group, table, full)
-            for name, values in pictures.items():
+            target = self._target(kind, layers=len(members) * len(rows))
+            far = max(view.optics.far for view in members_views)
+            drawn = self._draw_into(target, frame, table, far=float(far), full=kind.is_full)
+            for name, values in drawn.items():
                 parts = values.reshape(len(members), len(rows), *values.shape[1:])
                 for part, index in zip(parts, members, strict=True):
-                    found[index][name] = part
-        return found
+                    pictures[index][name] = part
+        return pictures
 
-    def _target(
-        self, width: int, height: int, layers: int, outputs: Any, full: bool
-    ) -> PictureTarget:
-        key = width, height, layers, outputs, full
+    def _target(self, kind: _TargetKind, layers: int) -> PictureTarget:
+        key = (kind, layers)
         if key not in self._targets:
-            target = PictureTarget(width, height, layers, outputs, 2 if full else 1)
+            target = PictureTarget(
+                width=kind.width,
+                height=kind.height,
+                layers=layers,
+                outputs=kind.outputs,
+                samples=kind.samples,
+            )
             # Sizes change when films of other sizes are made: free the oldest.
-            while self._targets and target.bytes + self._kept_bytes() > _CHUNK_BYTES:
+            while self._targets and target.bytes + self._target_bytes() > _CHUNK_BYTES:
                 self._targets.pop(next(iter(self._targets))).close()
             self._targets[key] = target
         return self._targets[key]
 
-    def _kept_bytes(self) -> int:
+    def _target_bytes(self) -> int:
         return sum(target.bytes for target in self._targets.values())
 
     def _upload(self, frame: _Frame) -> None:
@@ -180,74 +234,79 @@ class BatchRenderer:
         self,
         target: PictureTarget,
         frame: _Frame,
-        views: Sequence[View],
         table: NDArray[np.float32],
+        *,
+        far: float,
         full: bool,
     ) -> dict[str, NDArray[Any]]:
-        colour, layers = "color" in target.outputs, target.layers
-        self._set_uniforms(float(max(view.optics.far for view in views)))
-        lit = casters(frame.state) if full else ()
-        defines: dict[str, object] = {"LIGHTS": self._model.nlight, "SHADOW_MAPS": len(lit)}
-        if lit:
-            slots = [lit.index(i) if i in lit else -1 for i in range(self._model.nlight)]
-            numbers = ", ".join(map(str, slots))
-            defines["MAP_OF_LIGHT"] = f"int[{len(slots)}]({numbers})"
-            self._draw_shadows(frame, lit, max(target.size), defines)
-        meshes = self._meshes_for(target, full)
+        """Draw the pictures of one target, and read them.
+
+        Args:
+            target: Where to.
+            frame: The environments.
+            table: The views, see `view_table`.
+            far: Largest distance that any of them shows, in metres.
+            full: Whether in full look.
+
+        Returns:
+            (layers, H, W, ...) of each output.
+        """
+        has_colour = "color" in target.outputs
+        has_sky = self._textures.sky >= 0
+        layers = target.layers
+        self._set_uniforms(far)
+
+        lights = casters(frame.state) if full else ()
+        defines: dict[str, object] = {"LIGHTS": self._model.nlight, "SHADOW_MAPS": len(lights)}
+        if lights:
+            defines["MAP_OF_LIGHT"] = _map_of_light(lights, self._model.nlight)
+            self._draw_shadows(frame, lights, max(target.size), defines)
         if frame.positional:
             defines["POSITIONAL"] = 1
         if full:
             defines["FULL"] = 1
-            if self._textures.sky >= 0:
+            if has_sky:
                 defines["HAZE"] = 1
+
+        # First stage: the nearest surface of each sample, and transparent ones apart.
+        meshes = self._meshes_of(_level_of_detail(target, full))
         target.begin_surfaces()
-        for kind, key in meshes.kinds(self._surfaces.textured if colour else None):
-            self._use("surfaces", {"LIGHTS": self._model.nlight, **kind})
-            meshes.buffers.draw(key, layers)
-        has_overlay = colour and bool(self._surfaces.transparent.any())
+        for surface in meshes.kinds(self._surfaces.textured if has_colour else None):
+            self._use("surfaces", {"LIGHTS": self._model.nlight, **surface.defines})
+            meshes.buffers.draw(surface.key, layers)
+        has_overlay = has_colour and bool(self._surfaces.transparent.any())
         if has_overlay:
             target.begin_overlay()
             self._draw_transparent(meshes, frame, table, defines)
+
+        # Second stage: pixels. What is added is drawn where their depth is larger than `closer`:
+        # at edges (1), where the sky is seen (0.5), but not where all is drawn (0).
+        draw_whole = meshes.buffers.draw_whole
         target.begin_pictures()
-        self._draw_whole("shading", {**defines, "COLOUR": int(colour)}, meshes, layers)
+        self._use("shading", {**defines, "COLOUR": int(has_colour)}, closer=0.0)
+        draw_whole(layers)
         if full:
             target.add()
-            self._draw_whole("shading", {**defines, "EDGES": 1}, meshes, layers, 0.75)
-        if colour:
+            self._use("shading", {**defines, "EDGES": 1}, closer=0.75)
+            draw_whole(layers)
+        if has_colour:
             target.add_behind()
-            has_sky = {"SKY": 1} if self._textures.sky >= 0 else {}
-            self._draw_whole("sky", {**defines, **has_sky}, meshes, layers, 0.25)
+            self._use("sky", {**defines, "SKY": 1} if has_sky else defines, closer=0.25)
+            draw_whole(layers)
         if has_overlay:
             target.add_over()
-            self._draw_whole("overlay", defines, meshes, layers)
+            self._use("overlay", defines, closer=0.0)
+            draw_whole(layers)
         self._mark("draw")
-        found = {name: target.read(name) for name in target.outputs}
+        pictures = {name: target.read(name) for name in target.outputs}
         self._mark("read")
-        return found
-
-    def _draw_whole(
-        self,
-        name: str,
-        defines: dict[str, object],
-        meshes: _Meshes,
-        layers: int,
-        closer: float = 0.0,
-    ) -> None:
-        """Draw all of every picture, or the pixels whose depth is larger."""
-        self._use(name, defines, closer=closer)
-        meshes.buffers.draw_whole(layers)
-
-    def _meshes_for(self, target: PictureTarget, full: bool) -> _Meshes:
-        level = len(_DETAILS)
-        if not full:
-            longest = max(target.size)
-            level = sum(longest > most for most, _, _ in _DETAILS)
-        return self._meshes_of(level)
+        return pictures
 
     def _meshes_of(self, level: int) -> _Meshes:
         if level not in self._meshes:
-            detail = _DETAILS[level][1:] if level < len(_DETAILS) else (_SLICES, None)
-            self._meshes[level] = _Meshes(SceneGeometry.of_model(self._model, *detail), self._model)
+            detail = _DETAILS[level]
+            geometry = SceneGeometry.of_model(self._model, detail.slices, detail.triangles)
+            self._meshes[level] = _Meshes(geometry, self._model)
         return self._meshes[level]
 
     def _use(self, name: str, defines: dict[str, object], **uniforms: float) -> None:
@@ -255,20 +314,22 @@ class BatchRenderer:
         key = name, *defines.items()
         program = self._programs.get(key)
         if program is None:
-            program = self._programs[key] = Program(*getattr(shaders, name)(defines))
+            vertex, fragment = getattr(shaders, name)(defines)
+            program = Program(vertex, fragment)
+            self._programs[key] = program
         program.use({**self._uniforms, **uniforms})
 
     def _set_uniforms(self, far: float) -> None:
         headlight = self._model.vis.headlight
-        on = 1.0 if headlight.active else 0.0
+        brightness = 1.0 if headlight.active else 0.0
         self._uniforms = {
             "geomCount": int(self._model.ngeom),
             "far": far,
             "sky": float(self._textures.sky),
             "haze": tuple(self._model.vis.rgba.haze[:3].tolist()),
             "hazeReach": float(self._model.vis.map.zfar * self._model.stat.extent),
-            "headDiffuse": tuple((on * headlight.diffuse).tolist()),
-            "headSpecular": tuple((on * headlight.specular).tolist()),
+            "headDiffuse": tuple((brightness * headlight.diffuse).tolist()),
+            "headSpecular": tuple((brightness * headlight.specular).tolist()),
         }
 
     def _draw_transparent(
@@ -284,10 +345,10 @@ class BatchRenderer:
         )
         if not len(geoms):
             return
-        eyes = table.reshape(-1, 9, 4)[:, 4]
+        eyes = table.reshape(-1, VIEW_ROWS, 4)[:, EYE_ROW]
         rows = eyes[:, 3].astype(np.int64)
-        gaps = frame.poses[rows][:, geoms][..., 3] - eyes[:, None, :3]
-        ranks = np.argsort(-(gaps**2).sum(axis=2), axis=1, kind="stable")
+        offsets = frame.poses[rows][:, geoms][..., 3] - eyes[:, None, :3]
+        ranks = np.argsort(-(offsets**2).sum(axis=2), axis=1, kind="stable")
         # The k-th geom of pictures is drawn before the next of any; pictures that agree, at once.
         order: list[NDArray[np.int64]] = []
         draws: list[tuple[int, int, int]] = []
@@ -302,29 +363,31 @@ class BatchRenderer:
         numbers[:, 0] = np.concatenate(order)
         self._numbers["order"].upload(numbers)
         for geom, start, count in draws:
-            kind, key = meshes.single(geom, self._surfaces.textured)
-            self._use("transparent", {**defines, **kind}, firstOfOrder=start)
-            meshes.buffers.draw(key, count)
+            surface = meshes.single(geom, self._surfaces.textured)
+            self._use("transparent", {**defines, **surface.defines}, firstOfOrder=start)
+            meshes.buffers.draw(surface.key, count)
 
     def _draw_shadows(
-        self, frame: _Frame, lit: tuple[int, ...], pixels: int, defines: dict[str, object]
+        self, frame: _Frame, lights: tuple[int, ...], pixels: int, defines: dict[str, object]
     ) -> None:
         """Draw what lights see, unless it is what they saw in the last call."""
         meshes = self._meshes_of(_SHADOW_DETAIL)
+        # 0.8 of the picture's side, rounded up to 128 pixels.
         side = int(np.clip(128 * -(-0.8 * pixels // 128), 256, 2048))
-        layers = len(frame.rows) * len(lit)
-        seen = shadow_views(frame.state, frame.rows, lit, meshes.solid)
-        same = self._shadows_same([seen, frame.poses, self._surfaces.table, frame.lights])
+        layers = len(frame.rows) * len(lights)
+        views = shadow_views(frame.state, frame.rows, lights, meshes.solid)
+        same = self._shadows_same([views, frame.poses, self._surfaces.table, frame.lights])
         maps = self._shadow_maps
         if maps is None or (maps.pixels, maps.layers) != (side, layers):
             if maps is not None:
                 maps.close()
-            maps = self._shadow_maps = ShadowMaps(side, layers)
+            maps = ShadowMaps(side, layers)
+            self._shadow_maps = maps
         elif same:
             return
-        self._numbers["shadowViews"].upload(seen)
+        self._numbers["shadowViews"].upload(views)
         maps.begin()
-        self._use("shadows", {k: defines[k] for k in ("LIGHTS", "SHADOW_MAPS")})
+        self._use("shadows", {name: defines[name] for name in ("LIGHTS", "SHADOW_MAPS")})
         meshes.buffers.draw("solid", layers)
         maps.open_surfaces()
         meshes.buffers.draw("fields", layers)
@@ -361,16 +424,31 @@ class _Frame:
 
     def __init__(self, state: DrawnState, rows: Index, surfaces: SurfaceTable) -> None:
         model = state.model
-        self.state, self.rows = state, rows
-        whole = len(rows) == state.num_envs and bool((rows == np.arange(len(rows))).all())
-        pick: Any = slice(None) if whole else rows
+        self.state = state
+        self.rows = rows
+        is_all = len(rows) == state.num_envs and bool((rows == np.arange(len(rows))).all())
+        index: Any = slice(None) if is_all else rows  # a slice copies once less
         self.poses = np.empty((len(rows), model.ngeom, 3, 4), np.float32)
         matrices = state.derived("geom_xmat").reshape(state.num_envs, model.ngeom, 3, 3)
-        self.poses[..., :3] = matrices[pick]
-        self.poses[..., 3] = state.derived("geom_xpos")[pick]
-        shared = len(surfaces.table) == 1
-        self.lights = light_table(state, rows, np.zeros_like(rows) if shared else rows)
+        self.poses[..., :3] = matrices[index]
+        self.poses[..., 3] = state.derived("geom_xpos")[index]
+        looks_are_shared = len(surfaces.table) == 1
+        look_rows = np.zeros_like(rows) if looks_are_shared else rows
+        self.lights = light_table(state, rows, look_rows)
         self.positional = positional(state)
+
+
+@dataclass(frozen=True)
+class _SurfaceKind:
+    """Surfaces that one program draws.
+
+    Attributes:
+        defines: What the program is compiled for.
+        key: The list of their triangles in the buffers.
+    """
+
+    defines: dict[str, object]
+    key: Any
 
 
 class _Meshes:
@@ -381,37 +459,42 @@ class _Meshes:
         self.geoms = set(geometry.triangles)
         self.buffers = VertexBuffers(geometry.vertices)
         casting = [g for g in geometry.triangles if model.geom_castshadow[g]]
-        self.solid = np.array([g for g in casting if g not in geometry.planes], np.int64)
-        for name, fields in (("solid", False), ("fields", True)):
-            chosen = [int(g) for g in self.solid if (int(g) in geometry.fields) == fields]
-            self.buffers.put(name, [geometry.triangles[g] for g in chosen])
+        solid = [g for g in casting if g not in geometry.planes]
+        self.solid = np.array(solid, np.int64)
+        # Height fields have no inside: both of their sides are drawn into shadow maps.
+        fields = [geometry.triangles[g] for g in solid if g in geometry.fields]
+        closed = [geometry.triangles[g] for g in solid if g not in geometry.fields]
+        self.buffers.put("solid", closed)
+        self.buffers.put("fields", fields)
         self._textured = Unchanged()
 
-    def kinds(self, textured: NDArray[np.bool_] | None) -> list[tuple[dict[str, object], Any]]:
-        """Defines and list of every kind of surface; geoms without texture are first.
+    def kinds(self, textured: NDArray[np.bool_] | None) -> list[_SurfaceKind]:
+        """Return every kind of surface; geoms without texture are first.
 
         Args:
             textured: (ngeom, 2) see `SurfaceTable`; None draws all without.
         """
         if textured is None:
             textured = np.zeros((max(self.geoms, default=0) + 1, 2), bool)
-            flat = "all"
+            lists = "all"
+            is_current = True
         else:
-            flat = "kinds"
-        kinds = {g: (bool(textured[g, 0]), bool(textured[g, 1])) for g in self._triangles}
-        found = sorted(set(kinds.values()))
-        fresh = flat == "all" or self._textured([textured])
-        for kind in found:
-            key = flat, kind
-            if not fresh or not self.buffers.has(key):
-                self.buffers.put(key, [t for g, t in self._triangles.items() if kinds[g] == kind])
-        return [(_texture_defines(kind), (flat, kind)) for kind in found]
+            lists = "kinds"
+            is_current = self._textured([textured])
+        kind_of = {g: (bool(textured[g, 0]), bool(textured[g, 1])) for g in self._triangles}
+        kinds = sorted(set(kind_of.values()))
+        for kind in kinds:
+            key = (lists, kind)
+            if not is_current or not self.buffers.has(key):
+                triangles = [t for g, t in self._triangles.items() if kind_of[g] == kind]
+                self.buffers.put(key, triangles)
+        return [_SurfaceKind(_texture_defines(kind), (lists, kind)) for kind in kinds]
 
-    def single(self, geom: int, textured: NDArray[np.bool_]) -> tuple[dict[str, object], Any]:
-        """Defines and list of one geom."""
+    def single(self, geom: int, textured: NDArray[np.bool_]) -> _SurfaceKind:
+        """Return one geom, as a kind of its own."""
         if not self.buffers.has(geom):
             self.buffers.put(geom, [self._triangles[geom]])
-        return _texture_defines(textured[geom]), geom
+        return _SurfaceKind(_texture_defines(textured[geom]), geom)
 
     def close(self) -> None:
         """Free it."""
@@ -419,20 +502,54 @@ class _Meshes:
 
 
 def _texture_defines(kind: Any) -> dict[str, object]:
-    return {name: 1 for name, has in zip(_TEXTURE_DEFINES, kind, strict=True) if has}
+    has_square, has_cube = kind
+    defines: dict[str, object] = {}
+    if has_square:
+        defines["TEXTURE_2D"] = 1
+    if has_cube:
+        defines["TEXTURE_CUBE"] = 1
+    return defines
 
 
-def _groups(views: Sequence[View]) -> dict[Any, list[int]]:
-    """Views whose pictures are layers of one target: of one size, look and outputs.
+def _map_of_light(lights: tuple[int, ...], count: int) -> str:
+    """GLSL of an array: for each of `count` lights its shadow map, or -1."""
+    maps = [lights.index(light) if light in lights else -1 for light in range(count)]
+    numbers = ", ".join(map(str, maps))
+    return f"int[{count}]({numbers})"
 
-    Depth and mask have one sample a pixel, colour in full look has four.
-    """
-    groups: dict[Any, list[int]] = {}
+
+def _samples(view: View) -> int:
+    """Samples of a pixel along each side, of what takes most of a view's memory."""
+    return 2 if view.look == "full" else 1
+
+
+def _level_of_detail(target: PictureTarget, full: bool) -> int:
+    """Return the first of `_DETAILS` that is fine enough for a target."""
+    if full:
+        return _FULL_DETAIL
+    longest = max(target.size)
+    return sum(longest > detail.longest_side for detail in _DETAILS)
+
+
+def _by_target(views: Sequence[View]) -> dict[_TargetKind, list[int]]:
+    """Group views, as their indices, whose pictures are layers of one target."""
+    groups: dict[_TargetKind, list[int]] = {}
+
+    def add(index: int, outputs: tuple[Output, ...], is_full: bool) -> None:
+        optics = views[index].optics
+        kind = _TargetKind(optics.width, optics.height, outputs, is_full=is_full)
+        groups.setdefault(kind, []).append(index)
+
     for index, view in enumerate(views):
-        size = view.optics.width, view.optics.height
-        if "color" in view.outputs and view.look == "full":
-            groups.setdefault((*size, ("color",), True), []).append(index)
-        rest = tuple(o for o in view.outputs if o != "color" or view.look == "fast")
-        if rest:
-            groups.setdefault((*size, rest, False), []).append(index)
+        outputs = view.outputs
+        if "color" in outputs and view.look == "full":
+            add(index, ("color",), is_full=True)
+            outputs = tuple(name for name in outputs if name != "color")
+        if outputs:
+            add(index, outputs, is_full=False)
     return groups
+
+
+def _joined(parts: Sequence[Pictures]) -> Pictures:
+    """Join the pictures of one view from several environments."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

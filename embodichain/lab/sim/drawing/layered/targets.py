@@ -43,21 +43,30 @@ class PictureTarget:
     def __init__(
         self, width: int, height: int, layers: int, outputs: Sequence[str], samples: int
     ) -> None:
-        self.size, self.outputs, self.layers = (width, height), tuple(outputs), layers
+        self.size = (width, height)
+        self.outputs = tuple(outputs)
+        self.layers = layers
         self.bytes = layers * picture_bytes(width, height, samples)
-        self._sampled = samples * width, samples * height
         self._frames: list[Any] = []
         self._textures: list[Any] = []
+
+        # The first stage draws surfaces, with all samples of a pixel.
+        self._sampled = samples * width, samples * height
         self._depths = self._texture("GL_DEPTH_COMPONENT32F", self._sampled)
         self._surface = self._texture("GL_RG32UI", self._sampled)
         self._surfaces = self._frame({0: self._surface}, self._depths)
+        # Few scenes have transparent geoms: the overlay is made with the first of them.
         self._overlay: Any = None
         self._overlay_frame: Any = None
+
+        # The second shades pixels.
         self._read = {name: self._texture(_FORMATS[name][0], self.size) for name in self.outputs}
         places = {_PLACES[name]: texture for name, texture in self._read.items()}
         self._needs = self._texture("GL_DEPTH_COMPONENT32F", self.size)
         self._pictures = self._frame(places, self._needs)
-        self._colours = self._frame({0: places[0]}, self._needs) if 0 in places else None
+        self._colours: Any = None
+        if "color" in self.outputs:
+            self._colours = self._frame({0: self._read["color"]}, self._needs)
 
     def _texture(self, kind: str, size: tuple[int, int]) -> Any:
         from OpenGL import GL
@@ -162,8 +171,10 @@ class PictureTarget:
 
         _, layout, kind, dtype = _FORMATS[name]
         width, height = self.size
-        shape = (self.layers, height, width)
-        into: NDArray[Any] = np.empty((*shape, 4) if name == "color" else shape, dtype)
+        shape: tuple[int, ...] = (self.layers, height, width)
+        if name == "color":
+            shape = (*shape, 4)
+        into: NDArray[Any] = np.empty(shape, dtype)
         _bind(_SPARE_UNIT, self._read[name])
         GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
         GL.glGetTexImage(GL.GL_TEXTURE_2D_ARRAY, 0, getattr(GL, layout), getattr(GL, kind), into)
@@ -200,8 +211,10 @@ class ShadowMaps:
     def __init__(self, pixels: int, layers: int) -> None:
         from OpenGL import GL
 
-        self.pixels, self.layers = pixels, layers
-        self._texture, self._frame = GL.glGenTextures(1), GL.glGenFramebuffers(1)
+        self.pixels = pixels
+        self.layers = layers
+        self._texture = GL.glGenTextures(1)
+        self._frame = GL.glGenFramebuffers(1)
         _bind(UNITS["shadowMaps"], self._texture)
         kind = GL.GL_TEXTURE_2D_ARRAY
         GL.glTexStorage3D(kind, 1, GL.GL_DEPTH_COMPONENT32F, pixels, pixels, layers)

@@ -57,13 +57,16 @@ class SceneTextures:
 
 def _image(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     """(H, W, 4) RGBA."""
-    height, width = int(model.tex_height[texture]), int(model.tex_width[texture])
-    channels, start = int(model.tex_nchannel[texture]), int(model.tex_adr[texture])
+    height = int(model.tex_height[texture])
+    width = int(model.tex_width[texture])
+    channels = int(model.tex_nchannel[texture])
+    start = int(model.tex_adr[texture])
     data = np.asarray(model.tex_data[start : start + height * width * channels], np.uint8)
-    image = data.reshape(height, width, channels)
-    found = np.full((height, width, 4), 255, np.uint8)
-    found[..., :3] = image[..., : 3 if channels >= 3 else 1]
-    return found
+    data = data.reshape(height, width, channels)
+    is_grey = channels < 3
+    image = np.full((height, width, 4), 255, np.uint8)
+    image[..., :3] = data[..., :1] if is_grey else data[..., :3]
+    return image
 
 
 def _faces(image: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
@@ -88,8 +91,19 @@ def _upload(images: list[NDArray[np.uint8]], kind_name: str, unit: int, empty: i
     GL.glBindTexture(kind, texture)
     GL.glTexStorage3D(kind, side.bit_length(), GL.GL_RGBA8, side, side, len(data))
     GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
-    size = side, side, len(data)
-    GL.glTexSubImage3D(kind, 0, 0, 0, 0, *size, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, data)
+    GL.glTexSubImage3D(
+        kind,
+        0,  # level of detail
+        0,  # x, y and layer at which the images begin
+        0,
+        0,
+        side,
+        side,
+        len(data),
+        GL.GL_RGBA,
+        GL.GL_UNSIGNED_BYTE,
+        data,
+    )
     GL.glGenerateMipmap(kind)
     wrap = GL.GL_REPEAT if kind == GL.GL_TEXTURE_2D_ARRAY else GL.GL_CLAMP_TO_EDGE
     for name, value in (

@@ -5,6 +5,7 @@ Methods are documented in `api`. Use an instance from one Python thread at a tim
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import mujoco
@@ -36,7 +37,7 @@ from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.uncopied import Uncopied
 
-__all__ = ["KINEMATIC_STAGES", "CpuEngine", "HostEngine", "entries"]
+__all__ = ["KINEMATIC_STAGES", "CpuEngine", "HostEngine", "PhysicsOutput", "entries"]
 
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 _STAGE_POS = int(mujoco.mjtStage.mjSTAGE_POS)
@@ -79,6 +80,19 @@ class _DivergenceMarks(Protocol):
     def take(self) -> NDArray[np.bool_] | None: ...
 
 
+@dataclass(frozen=True, eq=False)
+class PhysicsOutput:
+    """A field that physics writes.
+
+    Attributes:
+        live: (N, ...) the output, which computing derived fields overwrites.
+        copy: (N, ...) what it was after the last step or full forward.
+    """
+
+    live: F64
+    copy: F64
+
+
 class HostEngine(Uncopied, Engine):
     """State rows, model fields and writes of N simulations; subclasses compute the physics.
 
@@ -100,34 +114,42 @@ class HostEngine(Uncopied, Engine):
         install_log_handler()
         stop_timers()
         threads = num_threads or all_cores()
-        hidden = bool(model.opt.enableflags & _HIDDEN_STATE) or model.nplugin > 0
+        has_hidden_state = bool(model.opt.enableflags & _HIDDEN_STATE) or model.nplugin > 0
         self.model = model
         self.num_envs = num_envs
         self.version = 0
         self.num_threads = min(threads, num_envs)
-        self.persistent = hidden if persistent is None else persistent
+        self.persistent = has_hidden_state if persistent is None else persistent
         self.listeners: list[EngineListener] = []
-        self._layout = row_layout(model)
-        self._plain_reset = not hidden
         self._batch: Any = mjbatch.Batch(
             model, num_envs, nthread=self.num_threads, persistent=self.persistent
         )
         if self.num_threads > 1:
             guard_against_forks(self)
+
+        # States and models.
+        self._plain_reset = not has_hidden_state
         self._batch.reset(stage=_STAGE_NONE)
         self._rows: F64 = self._batch.state
-        self._views: dict[str, F64] = {n: self._rows[:, c] for n, c in self._layout.items()}
-        self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
+        self._layout = row_layout(model)
+        self._views: dict[str, F64] = {
+            name: self._rows[:, columns] for name, columns in self._layout.items()
+        }
+        self._fields = ModelFields(self._batch, num_envs)
+
+        # What physics computes of them.
         self._derived: dict[str, F64] = {}
-        # Outputs of physics, and copies of them from the last step or full forward: computing
-        # derived fields overwrites the outputs.
-        self._accelerations: dict[str, tuple[F64, F64]] = {}
+        self._accelerations: dict[str, PhysicsOutput] = {}
+        self._history = SensorHistory(num_envs, np.array)
+
+        # What is out of date: where derived fields must be computed again, and the version since
+        # which an environment is as it is.
         self._dirty = np.ones(num_envs, np.bool_)
+        self._any_dirty = True
+        self._all_dirty = True
         self._changed: NDArray[np.int64] = np.zeros(num_envs, np.int64)
         self._all_changed = 0
-        self._any_dirty = self._all_dirty = True
-        self._history = SensorHistory(num_envs, np.array)
 
     def close(self) -> None:
         self.__dict__.clear()  # terms of the environment may refer to the engine until it is freed
@@ -162,11 +184,11 @@ class HostEngine(Uncopied, Engine):
         return self._views[name]
 
     def _copy_accelerations(self, env_ids: EnvIndex | None) -> None:
-        for output, copy in self._accelerations.values():
+        for output in self._accelerations.values():
             if env_ids is None:
-                copy[...] = output
+                output.copy[...] = output.live
             else:
-                copy[env_ids] = output[env_ids]
+                output.copy[env_ids] = output.live[env_ids]
 
     def keep_sensors(self, columns: slice, depth: int) -> None:
         self.acceleration("sensordata")  # the first request computes it
@@ -265,6 +287,11 @@ class HostEngine(Uncopied, Engine):
         if not self._all_dirty:
             self._dirty[env_ids] = True
 
+    def _mark_all_clean(self) -> None:
+        self._dirty[:] = False
+        self._any_dirty = False
+        self._all_dirty = False
+
     def _notify(self, write: Write) -> None:
         for listener in self.listeners:
             listener.on_write(write)
@@ -284,7 +311,7 @@ class HostEngine(Uncopied, Engine):
         return data
 
     def model_fields(self) -> dict[str, NDArray[Any]]:
-        return {k: np.array(v) for k, v in self._fields.expanded().items()}
+        return {name: np.array(values) for name, values in self._fields.expanded().items()}
 
     def state_dict(self) -> dict[str, Any]:
         if self._fields.stale:
@@ -293,26 +320,33 @@ class HostEngine(Uncopied, Engine):
             "rows": self._rows.copy(),
             "model": self.model_fields(),
             "warning": self._batch.warning.copy(),
-            "acceleration": {name: copy.copy() for name, (_, copy) in self._accelerations.items()},
+            "acceleration": {
+                name: output.copy.copy() for name, output in self._accelerations.items()
+            },
             "sensor_history": self._history.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        fields, model = self._fields, state["model"]
+        fields = self._fields
+        model = state["model"]
         fields.take_stale()
         for field in fields.expanded().keys() - model.keys():
             self.write_model(field, fields.default(field))
-        for again in range(2 if DERIVED_FIELDS & model.keys() else 1):
-            if again:
-                self.set_const()  # for model flags that are not fields
-            for field, values in model.items():
-                self.write_model(field, values.reshape(self.num_envs, -1))
+        self._write_model_fields(model)
+        if DERIVED_FIELDS & model.keys():
+            # MuJoCo also sets model flags that are not fields; it must not change derived ones.
+            self.set_const()
+            self._write_model_fields(model)
         self.write("row", state["rows"])
         for field, values in state["acceleration"].items():
             self.acceleration(field)[...] = values
         self._history.load_state_dict(state.get("sensor_history", {}))
         # Counters are restored as a baseline: only new warnings count as divergence.
         self._divergence.begin()
+
+    def _write_model_fields(self, fields: dict[str, NDArray[Any]]) -> None:
+        for field, values in fields.items():
+            self.write_model(field, values.reshape(self.num_envs, -1))
 
 
 class CpuEngine(HostEngine):
@@ -338,13 +372,15 @@ class CpuEngine(HostEngine):
         persistent: bool | None = None,
     ) -> None:
         super().__init__(model, num_envs, num_threads, persistent)
-        self._kinematics, self._divergence = _Kinematics(), _Divergence(self._batch)
+        self._kinematics = _Kinematics()
+        self._divergence = _Divergence(self._batch)
 
     def derived(self, name: str) -> F64:
         if name not in self._derived:
             self._derived[name] = self._batch.bind(name)
             self._kinematics.need(name)
-            self._any_dirty = self._all_dirty = True
+            self._any_dirty = True
+            self._all_dirty = True
         if self._any_dirty:
             self._refresh()
         return self._derived[name]
@@ -358,18 +394,18 @@ class CpuEngine(HostEngine):
             self._call(self._kinematics.forward, self._batch, flags, ids)
         else:
             self._call(self._batch.forward, ids, stage=_STAGE_VEL)
-        self._dirty[:] = False
-        self._any_dirty = self._all_dirty = False
+        self._mark_all_clean()
 
     def acceleration(self, name: str) -> F64:
-        found = self._accelerations.get(name)
-        if found is None:
+        output = self._accelerations.get(name)
+        if output is None:
             if self._fields.stale:
                 self._set_const_now()
-            output = self._batch.bind(name)
+            live = self._batch.bind(name)
             self._call(self._batch.forward, None, stage=_STAGE_ACC)
-            found = self._accelerations[name] = output, output.copy()
-        return found[1]
+            output = PhysicsOutput(live, live.copy())
+            self._accelerations[name] = output
+        return output.copy
 
     def cast_rays(
         self,
@@ -384,15 +420,15 @@ class CpuEngine(HostEngine):
             self._set_const_now()
         # mj_ray chooses geoms by group: put them into group 0 during the call, others into 5.
         group = self._fields.internal("geom_group")
-        kept = group.copy()
+        before = group.copy()
         group[:] = np.where(geoms, 0, 5)
         try:
-            found = self._batch.ray(
+            hits = self._batch.ray(
                 origins, directions, geomgroup=[1, 0, 0, 0, 0, 0], ids=env_ids, normal=normal
             )
         finally:
-            group[...] = kept
-        return RayHits(*found)
+            group[...] = before
+        return RayHits(*hits)
 
     def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
         if self._fields.stale:
@@ -427,9 +463,13 @@ class CpuEngine(HostEngine):
 
     def _roll_out(self, steps: F64, env_ids: EnvIndex | None) -> EnvIds | None:
         """Step and record into ``steps`` (n, nstep, nsensordata); return where MuJoCo raised."""
-        out, nstep = {"sensordata": steps}, steps.shape[1]
-        names = ["sensordata"]
-        return self._call(self._batch.rollout, nstep, record=names, ids=env_ids, out=out)
+        return self._call(
+            self._batch.rollout,
+            steps.shape[1],
+            record=["sensordata"],
+            ids=env_ids,
+            out={"sensordata": steps},
+        )
 
     def _step_on(self, steps: F64, ids: EnvIndex, before: F64, failed: EnvIds | None) -> None:
         """Take the steps that a rollout has left out: it stops where a warning is counted.
@@ -441,18 +481,22 @@ class CpuEngine(HostEngine):
             failed: Environments in which MuJoCo raised, which stay where they are.
         """
         timestep = self.model_values("opt.timestep").reshape(-1)
-        each = timestep if len(timestep) == 1 else timestep[ids]
-        taken = np.rint((self._views["time"][ids, 0] - before) / each).astype(np.int64)
-        over = np.zeros(len(ids), np.bool_) if failed is None else np.isin(ids, failed)
+        if len(timestep) > 1:
+            timestep = timestep[ids]
+        elapsed = self._views["time"][ids, 0] - before
+        completed_steps = np.rint(elapsed / timestep).astype(np.int64)
+        has_failed = np.zeros(len(ids), np.bool_)
+        if failed is not None:
+            has_failed |= np.isin(ids, failed)
         for step in range(steps.shape[1]):
-            late = np.flatnonzero((taken <= step) & ~over)
+            late = np.flatnonzero((completed_steps <= step) & ~has_failed)
             if not len(late):
                 continue
-            one = np.zeros((len(late), 1, steps.shape[2]))
-            raised = self._roll_out(one, ids[late])
-            steps[late, step] = one[:, 0]
-            if raised is not None:
-                over |= np.isin(ids, raised)
+            single_step = np.zeros((len(late), 1, steps.shape[2]))
+            failed = self._roll_out(single_step, ids[late])
+            steps[late, step] = single_step[:, 0]
+            if failed is not None:
+                has_failed |= np.isin(ids, failed)
 
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         if self._fields.stale:
@@ -461,8 +505,7 @@ class CpuEngine(HostEngine):
         self._call(self._batch.forward, env_ids, stage=_STAGE_ACC)
         self._copy_accelerations(env_ids)
         if env_ids is None:
-            self._dirty[:] = False
-            self._any_dirty = self._all_dirty = False
+            self._mark_all_clean()
         elif not self._all_dirty:
             self._dirty[env_ids] = False
             self._any_dirty = bool(self._dirty.any())
@@ -474,7 +517,9 @@ def entries(env_ids: EnvIndex | None, columns: Columns) -> tuple[Any, Any]:
     """Return the numpy index of columns in environments' rows; None is all environments."""
     if env_ids is None:
         return ALL, columns
-    return (env_ids if isinstance(columns, slice) else env_ids[:, None]), columns
+    if isinstance(columns, slice):
+        return env_ids, columns
+    return env_ids[:, None], columns
 
 
 class _Kinematics:
@@ -514,12 +559,12 @@ class _Kinematics:
         Raises:
             mujoco.batch.SimulationError: If MuJoCo raised in an environment.
         """
-        kept = flags.copy()
+        before = flags.copy()
         flags |= self._left_out
         try:
             batch.forward(env_ids, stage=self._stage)
         finally:
-            flags[...] = kept
+            flags[...] = before
 
 
 class _Divergence:

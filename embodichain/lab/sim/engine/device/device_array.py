@@ -55,7 +55,8 @@ class EnvMask:
     __slots__ = ("everything", "mask")
 
     def __init__(self, mask: torch.Tensor, everything: bool = False) -> None:
-        self.mask, self.everything = mask, everything
+        self.mask = mask
+        self.everything = everything
 
     def __len__(self) -> int:
         """Number of rows of reads: N."""
@@ -80,18 +81,22 @@ def _index(key: Any, device: torch.device) -> tuple[Any, torch.Tensor | None, bo
     Indices of the host that ascend evenly become slices, which are three times faster.
     """
     keys = list(key) if isinstance(key, tuple) else [key]
-    mask, copies = None, False
+    mask = None
+    copies = False
     arrays = sum(isinstance(part, (DeviceArray, np.ndarray, list)) for part in keys)
     for place, part in enumerate(keys):
         if isinstance(part, EnvMask):
-            before = sum(not isinstance(k, int) for k in keys[:place])  # an integer has no axis
-            mask, copies = part.mask.reshape(*[1] * before, -1), True
+            axes_before = sum(not isinstance(k, int) for k in keys[:place])  # an int has no axis
+            mask = part.mask.reshape(*[1] * axes_before, -1)
+            copies = True
             keys[place] = slice(None)
         elif isinstance(part, (np.ndarray, list)):
-            positions = _positions(np.asarray(part))
-            even = columns_of(positions) if positions.ndim == 1 and arrays == 1 else positions
             copies = True
-            keys[place] = even if isinstance(even, slice) else operand(positions, device)
+            positions = _positions(np.asarray(part))
+            columns: Any = positions
+            if positions.ndim == 1 and arrays == 1:
+                columns = columns_of(positions)
+            keys[place] = columns if isinstance(columns, slice) else operand(positions, device)
         elif isinstance(part, (DeviceArray, np.generic)):
             keys[place] = operand(part, device)
     return tuple(keys), mask, copies
@@ -108,17 +113,20 @@ def _positions(places: NDArray[Any]) -> NDArray[np.int64]:
 
 def _unreversed(tensor: torch.Tensor, keys: tuple[Any, ...]) -> tuple[torch.Tensor, list[Any]]:
     """A tensor and keys without negative steps, which torch has not."""
-    here = next((at for at, key in enumerate(keys) if isinstance(key, EllipsisType)), len(keys))
-    rest = tensor.ndim - sum(key is not None and key is not Ellipsis for key in keys)
-    whole = [*keys[:here], *[slice(None)] * rest, *keys[here + 1 :]]
+    # A key for every axis: those that are not named stand where the ellipsis is, or last.
+    places = [place for place, key in enumerate(keys) if isinstance(key, EllipsisType)]
+    ellipsis = places[0] if places else len(keys)
+    unnamed = tensor.ndim - sum(key is not None and key is not Ellipsis for key in keys)
+    all_keys = [*keys[:ellipsis], *[slice(None)] * unnamed, *keys[ellipsis + 1 :]]
     axis = 0
-    for place, key in enumerate(whole):
+    for place, key in enumerate(all_keys):
         if isinstance(key, slice) and key.step is not None and key.step < 0:
             start, stop, step = key.indices(tensor.shape[axis])
-            places = torch.arange(start, min(stop, start), step, device=tensor.device)
-            tensor, whole[place] = tensor.index_select(axis, places), slice(None)
+            indices = torch.arange(start, min(stop, start), step, device=tensor.device)
+            tensor = tensor.index_select(axis, indices)
+            all_keys[place] = slice(None)
         axis += key is not None
-    return tensor, whole
+    return tensor, all_keys
 
 
 class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
@@ -135,7 +143,8 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
     def host(self) -> NDArray[Any]:
         """Copy the numbers to the host; waits for the device."""
         array: NDArray[Any] = self.tensor.detach().cpu().numpy()
-        return array.copy() if self.tensor.device.type == "cpu" else array
+        shares_memory = self.tensor.device.type == "cpu"
+        return array.copy() if shares_memory else array
 
     # -- shape and type --------------------------------------------------------------------------
 
@@ -188,9 +197,9 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
     __int__ = __index__ = __complex__ = __float__
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Refuse numpy's methods that have no form here."""
+        """Refuse numpy's methods that are not available here."""
         if not name.startswith("_") and hasattr(np.ndarray, name):
-            refuse(f"the method {name} of numpy's arrays has no form on a device: used")
+            refuse(f"the method {name} of numpy's arrays is not available on a device: used")
         raise AttributeError(f"a DeviceArray has no attribute {name!r}")
 
     def tobytes(self) -> bytes:
@@ -223,7 +232,8 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
         keys, mask, _ = _index(key, device)
         new = operand(value, device)
         if len(keys) == 1 and isinstance(keys[0], torch.Tensor) and keys[0].dtype == torch.bool:
-            mask, keys = keys[0], (slice(None),)
+            mask = keys[0]
+            keys = (slice(None),)
         if isinstance(new, torch.Tensor):
             new = new.to(self.tensor.dtype)
             if new.untyped_storage().data_ptr() == self.tensor.untyped_storage().data_ptr():
@@ -248,10 +258,10 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
 
     def astype(self, dtype: Any, copy: bool = True) -> DeviceArray:
         """Convert; to float64 stays in the present type of floating point numbers."""
-        kept = torch_type(dtype)
+        kind = torch_type(dtype)
         if np.dtype(dtype) == np.float64 and self.tensor.is_floating_point():
-            kept = self.tensor.dtype
-        return DeviceArray(self.tensor.to(kept, copy=copy))
+            kind = self.tensor.dtype
+        return DeviceArray(self.tensor.to(kind, copy=copy))
 
     def reshape(self, *shape: Any) -> DeviceArray:
         """With other lengths of axes."""
@@ -260,8 +270,9 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
 
     def take(self, indices: Any, axis: int) -> DeviceArray:
         """Numbers at indices (any shape) along an axis."""
-        found = indices if isinstance(indices, DeviceArray) else np.asarray(indices, np.int64)
-        places = operand(found, self.tensor.device)
+        if not isinstance(indices, DeviceArray):
+            indices = np.asarray(indices, np.int64)
+        places = operand(indices, self.tensor.device)
         return DeviceArray(self.tensor[(*[slice(None)] * (axis % self.ndim), places)])
 
     def rows_of(self, table: NDArray[Any]) -> DeviceArray:
@@ -310,51 +321,60 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
         """Numpy's elementwise functions, and reductions of some of them."""
         out = options.pop("out", None)
         device = self.tensor.device
-        chosen = options.pop("where", True)
-        if chosen is not True and (out is None or method != "__call__"):
-            refuse(f"numpy.{ufunc.__name__} with where and without out has no form: used")
+        where = options.pop("where", True)
+        if where is not True and (out is None or method != "__call__"):
+            refuse(
+                f"numpy.{ufunc.__name__} with where and without out is not available on a "
+                "device: used"
+            )
         if method == "reduce" and ufunc in REDUCTIONS:
-            axis, keepdims = options.pop("axis", 0), options.pop("keepdims", False)
-            found = reduced(REDUCTIONS[ufunc], operand(inputs[0], device), axis, keepdims)
+            axis = options.pop("axis", 0)
+            keepdims = options.pop("keepdims", False)
+            result = reduced(REDUCTIONS[ufunc], operand(inputs[0], device), axis, keepdims)
         elif method == "accumulate" and ufunc is np.add:
-            found = torch.cumsum(operand(inputs[0], device), options.pop("axis", 0))
+            result = torch.cumsum(operand(inputs[0], device), options.pop("axis", 0))
         elif method == "__call__" and ufunc in UNARY:
-            value = operand(inputs[0], device)
-            found = UNARY[ufunc](value)
+            result = UNARY[ufunc](operand(inputs[0], device))
         elif method == "__call__" and ufunc in BINARY:
             a, b = (operand(value, device) for value in inputs)
             if ufunc in SAME_TYPE or not isinstance(a, torch.Tensor):
                 a, b = of_one_type(device, a, b)
-            found = BINARY[ufunc](a, b)
+            result = BINARY[ufunc](a, b)
         else:
-            refuse(f"numpy.{ufunc.__name__} ({method}) has no form on a device: used")
+            refuse(f"numpy.{ufunc.__name__} ({method}) is not available on a device: used")
         if options:
-            refuse(f"options {sorted(options)} of numpy.{ufunc.__name__} have no form: used")
+            refuse(
+                f"options {sorted(options)} of numpy.{ufunc.__name__} "
+                "are not available on a device: used"
+            )
         if out is None:
-            return DeviceArray(found)
+            return DeviceArray(result)
         target = out[0]
         if not isinstance(target, DeviceArray):
             refuse("a result of the device was written into an array of the host")
-        if chosen is not True:
-            found = torch.where(operand(chosen, device), found, target.tensor)
-        if not torch.can_cast(found.dtype, target.tensor.dtype):
-            raise TypeError(f"cannot write {found.dtype} into an array of {target.tensor.dtype}")
-        target.tensor.copy_(found)
+        if where is not True:
+            result = torch.where(operand(where, device), result, target.tensor)
+        if not torch.can_cast(result.dtype, target.tensor.dtype):
+            raise TypeError(f"cannot write {result.dtype} into an array of {target.tensor.dtype}")
+        target.tensor.copy_(result)
         return target
 
     def __array_function__(
         self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any
     ) -> Any:
         """Numpy's other functions."""
-        found = FUNCTIONS.get(func)
-        if found is None:
-            refuse(f"numpy.{func.__name__} has no form on a device: used")
+        function = FUNCTIONS.get(func)
+        if function is None:
+            refuse(f"numpy.{func.__name__} is not available on a device: used")
         try:
-            return DeviceArray(found(self.tensor.device, *args, **kwargs))
+            return DeviceArray(function(self.tensor.device, *args, **kwargs))
         except HostTransferError:
             raise
         except TypeError as error:
-            refuse(f"numpy.{func.__name__} with these arguments has no form ({error}): used")
+            refuse(
+                f"numpy.{func.__name__} with these arguments is not available "
+                f"on a device ({error}): used"
+            )
 
 
 def on_device(array: Any, device: torch.device) -> DeviceArray:

@@ -128,23 +128,26 @@ def _concatenate(device: torch.device, arrays: Sequence[Any], axis: int | None =
 
 
 def _clip(device: torch.device, a: Any, a_min: Any = None, a_max: Any = None) -> torch.Tensor:
-    found: torch.Tensor = operand(a, device)
+    clipped: torch.Tensor = operand(a, device)
     if a_min is not None:
-        found = torch.maximum(*of_one_type(device, found, a_min))
+        clipped, low = of_one_type(device, clipped, a_min)
+        clipped = torch.maximum(clipped, low)
     if a_max is not None:
-        found = torch.minimum(*of_one_type(device, found, a_max))
-    return found
+        clipped, high = of_one_type(device, clipped, a_max)
+        clipped = torch.minimum(clipped, high)
+    return clipped
 
 
 def _full_like(
     device: torch.device, a: Any, fill_value: Any, dtype: Any = None, *, shape: Any = None
 ) -> torch.Tensor:
-    like, fill = operand(a, device), operand(fill_value, device)
-    kept = like.dtype if dtype is None else torch_type(dtype)
+    like = operand(a, device)
+    fill = operand(fill_value, device)
+    kind = like.dtype if dtype is None else torch_type(dtype)
     lengths = like.shape if shape is None else shape
     if isinstance(fill, torch.Tensor):
-        return fill.to(kept).expand(lengths).clone()
-    return torch.full(lengths, fill, dtype=kept, device=device)
+        return fill.to(kind).expand(lengths).clone()
+    return torch.full(lengths, fill, dtype=kind, device=device)
 
 
 def _like(value: float) -> Callable[..., torch.Tensor]:
@@ -159,7 +162,7 @@ def _norm(
 ) -> torch.Tensor:
     values = operand(x, device)
     if ord is not None:
-        refuse("numpy.linalg.norm with ord has no form on a device: used")
+        refuse("numpy.linalg.norm with ord is not available on a device: used")
     return torch.linalg.vector_norm(values, dim=axis, keepdim=keepdims)
 
 

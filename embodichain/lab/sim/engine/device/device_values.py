@@ -85,10 +85,10 @@ def refuse(what: str) -> NoReturn:
 
 def torch_type(dtype: Any) -> torch.dtype:
     """Torch's type for one of numpy's: float32 for float64."""
-    found = _TORCH_TYPES.get(np.dtype(dtype))
-    if found is None:
-        refuse(f"numbers of type {np.dtype(dtype)} have no form on a device: used")
-    return found
+    kind = _TORCH_TYPES.get(np.dtype(dtype))
+    if kind is None:
+        refuse(f"numbers of type {np.dtype(dtype)} are not available on a device: used")
+    return kind
 
 
 class Constants:
@@ -98,7 +98,7 @@ class Constants:
     """
 
     def __init__(self) -> None:
-        self._known: OrderedDict[tuple[Any, ...], torch.Tensor] = OrderedDict()
+        self._recent: OrderedDict[tuple[Any, ...], torch.Tensor] = OrderedDict()
         self._captured: dict[tuple[Any, ...], torch.Tensor] = {}
 
     def get(self, array: NDArray[Any], device: torch.device) -> torch.Tensor:
@@ -108,25 +108,25 @@ class Constants:
             HostTransferError: If there is none yet, and a CUDA graph is being captured.
         """
         key = (array.tobytes(), array.shape, array.dtype, device)
-        found = self._captured.get(key)
-        if found is not None:
-            return found
-        found = self._known.get(key)
+        copy = self._captured.get(key)
+        if copy is not None:
+            return copy
+        copy = self._recent.get(key)
         if _capturing():
-            if found is None:
+            if copy is None:
                 refuse(
                     f"an array of the host of shape {array.shape} is new in a captured step: used"
                 )
-            self._captured[key] = found
-            return found
-        if found is None:
-            kept = torch_type(array.dtype)
-            found = self._known[key] = torch.from_numpy(np.array(array)).to(device, kept)
-            if len(self._known) > _MOST_CONSTANTS:
-                self._known.popitem(last=False)
-        else:
-            self._known.move_to_end(key)
-        return found
+            self._captured[key] = copy
+            return copy
+        if copy is not None:
+            self._recent.move_to_end(key)
+            return copy
+        copy = torch.from_numpy(np.array(array)).to(device, torch_type(array.dtype))
+        self._recent[key] = copy
+        if len(self._recent) > _MOST_CONSTANTS:
+            self._recent.popitem(last=False)
+        return copy
 
     def number(self, value: float, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
         """Return a Python number as a tensor without axes; do not write to it."""
@@ -161,20 +161,23 @@ def operand(value: Any, device: torch.device) -> Any:
 
 def of_one_type(device: torch.device, *values: Any) -> list[torch.Tensor]:
     """Return operands as tensors of one type; Python numbers do not widen it."""
-    found = [operand(value, device) for value in values]
-    types = [value.dtype for value in found if isinstance(value, torch.Tensor)]
-    kept = types[0] if types else torch_type(np.result_type(*found))
+    operands = [operand(value, device) for value in values]
+    types = [value.dtype for value in operands if isinstance(value, torch.Tensor)]
+    numbers = [value for value in operands if not isinstance(value, torch.Tensor)]
+    common = types[0] if types else torch_type(np.result_type(*operands))
     for other in types[1:]:
-        kept = torch.promote_types(kept, other)
-    numbers = [value for value in found if not isinstance(value, torch.Tensor)]
-    if not kept.is_floating_point and any(isinstance(number, float) for number in numbers):
-        kept = torch.float32
-    elif kept == torch.bool and any(type(number) is int for number in numbers):
-        kept = torch.int64
-    return [
-        value.to(kept) if isinstance(value, torch.Tensor) else constants.number(value, kept, device)
-        for value in found
-    ]
+        common = torch.promote_types(common, other)
+    if not common.is_floating_point and any(isinstance(number, float) for number in numbers):
+        common = torch.float32
+    elif common == torch.bool and any(type(number) is int for number in numbers):
+        common = torch.int64
+    tensors = []
+    for value in operands:
+        if isinstance(value, torch.Tensor):
+            tensors.append(value.to(common))
+        else:
+            tensors.append(constants.number(value, common, device))
+    return tensors
 
 
 def reduced(
@@ -185,9 +188,9 @@ def reduced(
         axis = tuple(range(values.ndim))
     if function is torch.mean and not values.is_floating_point():
         values = values.to(torch.float32)
-    if function is torch.prod:  # along one axis at a time
-        axes = sorted({a % values.ndim for a in (axis if isinstance(axis, tuple) else (axis,))})
-        for one in reversed(axes):
-            values = torch.prod(values, dim=one, keepdim=keepdims)
+    if function is torch.prod:  # along one axis at a time, the last first: others keep their places
+        axes = axis if isinstance(axis, tuple) else (axis,)
+        for number in sorted({number % values.ndim for number in axes}, reverse=True):
+            values = torch.prod(values, dim=number, keepdim=keepdims)
         return values
     return function(values, dim=axis, keepdim=keepdims)

@@ -48,10 +48,10 @@ class Slot(NamedTuple):
         Args:
             words: All packed words.
         """
-        mine = words[self.offset : self.offset + self.words].copy()
-        small = self.dtype.itemsize < _WORD.itemsize
-        found: NDArray[Any] = mine.astype(self.dtype) if small else mine.view(self.dtype)
-        return found.reshape(self.shape)
+        part = words[self.offset : self.offset + self.words].copy()
+        is_widened = self.dtype.itemsize < _WORD.itemsize
+        array: NDArray[Any] = part.astype(self.dtype) if is_widened else part.view(self.dtype)
+        return array.reshape(self.shape)
 
 
 class ArrayPacker:
@@ -119,7 +119,8 @@ class HostBuffers(Generic[T]):
     """
 
     def __init__(self, device: torch.device) -> None:
-        self._device, self._pinned = device, device.type == "cuda"
+        self._device = device
+        self._pinned = device.type == "cuda"
         none = torch.empty(0, dtype=torch.int32)
         self._free = [none] * _MOST_WAITING
         self._sent: deque[_Sent[T]] = deque()
@@ -141,7 +142,8 @@ class HostBuffers(Generic[T]):
         """
         if self.full:
             raise ValueError("both buffers are in use: receive a copy first")
-        buffer, size = self._free.pop(), packed.numel()
+        buffer = self._free.pop()
+        size = packed.numel()
         if buffer.numel() < size:
             buffer = torch.empty(size, dtype=torch.int32, pin_memory=self._pinned)
         buffer[:size].copy_(packed, non_blocking=True)
@@ -164,10 +166,10 @@ class HostBuffers(Generic[T]):
                 return None
             oldest.arrived.synchronize()
         words = oldest.buffer[: oldest.size].numpy()
-        found = [slot.read(words) for slot in slots]
+        arrays = [slot.read(words) for slot in slots]
         self._sent.popleft()
         self._free.append(oldest.buffer)
-        return found
+        return arrays
 
     @property
     def oldest(self) -> T | None:

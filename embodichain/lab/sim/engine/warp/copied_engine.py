@@ -47,12 +47,11 @@ class CopiedEngine(HostEngine):
         self.name = engine.name
         self._rows[...] = engine.host_rows()
         fields = engine.model_fields()
-        for again in range(2 if DERIVED_FIELDS & fields.keys() else 1):
-            if again:
-                self.set_const()
-            for name, values in fields.items():
-                self.write_model(name, values.reshape(self.num_envs, -1))
-        self._known: dict[str, NDArray[Any]] = {}
+        self._write_model_fields(fields)
+        if DERIVED_FIELDS & fields.keys():
+            self.set_const()  # as in `load_state_dict`
+            self._write_model_fields(fields)
+        self._latest: dict[str, NDArray[Any]] = {}
 
     # -- what only the device computes -------------------------------------------------------------
 
@@ -94,17 +93,17 @@ class CopiedEngine(HostEngine):
         self.write(name, values.astype(np.float64), env_ids)
 
     def _changed_rows(self, name: str, new: NDArray[Any]) -> EnvIndex:
-        """(n,) environments in which a component has other bits than before; it is known then."""
-        old = self._known.get(name)
-        self._known[name] = new
+        """(n,) environments in which a component has other bits than before; it is stored."""
+        old = self._latest.get(name)
+        self._latest[name] = new
         if old is not None and old.dtype == new.dtype:
             bits = _BITS[new.dtype.itemsize]
             if old.tobytes() == new.tobytes():
                 return np.zeros(0, np.int64)
             differs = old.view(bits) != new.view(bits)
         else:
-            here = np.ascontiguousarray(self._views[name])
-            differs = here.view(np.uint64) != new.astype(np.float64).view(np.uint64)
+            row_values = np.ascontiguousarray(self._views[name])
+            differs = row_values.view(np.uint64) != new.astype(np.float64).view(np.uint64)
         return np.flatnonzero(differs.any(axis=1))
 
     def put_reset(self, env_ids: EnvIndex, states: States) -> None:
@@ -117,10 +116,11 @@ class CopiedEngine(HostEngine):
         if not len(env_ids):
             return
         for name, values in states.items():
-            known = self._known.get(name)
-            if known is None:
-                known = self._known[name] = self._views[name].astype(values.dtype)
-            known[env_ids] = values[env_ids]
+            latest = self._latest.get(name)
+            if latest is None:
+                latest = self._views[name].astype(values.dtype)
+                self._latest[name] = latest
+            latest[env_ids] = values[env_ids]
             self._views[name][env_ids] = values[env_ids]
         self._notify(Write("reset", "row", env_ids, ALL, None))
 
@@ -133,7 +133,7 @@ class CopiedEngine(HostEngine):
         """
         self._tell("before", nstep)
         for name, values in states.items():
-            self._known[name] = values
+            self._latest[name] = values
             self._views[name][...] = values
         self._tell("after", nstep)
 
@@ -151,11 +151,12 @@ class CopiedEngine(HostEngine):
         changed = np.zeros(self.num_envs, np.bool_)
         for name, new in fields.items():
             differs = self._fields.view(name).astype(new.dtype) != new
-            rows, columns = (np.flatnonzero(differs.any(axis=axis)) for axis in (1, 0))
+            rows = np.flatnonzero(differs.any(axis=1))
+            columns = np.flatnonzero(differs.any(axis=0))
             if len(rows):
                 changed[rows] = True
-                whole = len(rows) == self.num_envs
+                is_all = len(rows) == self.num_envs
                 values = new[np.ix_(rows, columns)].astype(np.float64)
-                self.write_model(name, values, None if whole else rows, columns)
+                self.write_model(name, values, None if is_all else rows, columns)
         if constants and changed.any():
             self.set_const(None if changed.all() else np.flatnonzero(changed))

@@ -31,8 +31,9 @@ class DeviceArrays(Arrays):
     on_device = True
 
     def __init__(self, device: str) -> None:
-        current = f"cuda:{torch.cuda.current_device()}" if device == "cuda" else device
-        self.device = torch.device(current)
+        if device == "cuda":
+            device = f"cuda:{torch.cuda.current_device()}"
+        self.device = torch.device(device)
 
     def full(self, shape: int | Sequence[int], value: Any, dtype: Any = np.float64) -> Any:
         lengths = (shape,) if isinstance(shape, int) else tuple(shape)
@@ -50,7 +51,9 @@ class DeviceArrays(Arrays):
     def of(self, values: Any) -> Any:
         if isinstance(values, torch.Tensor):
             return DeviceArray(values.detach())
-        return values if isinstance(values, DeviceArray) else on_device(values, self.device)
+        if isinstance(values, DeviceArray):
+            return values
+        return on_device(values, self.device)
 
     def where(self, mask: Any) -> Any:
         return EnvMask(mask.tensor)
@@ -72,7 +75,7 @@ class DeviceArrays(Arrays):
         return cast("RandomStreams", DeviceStreams(seed, count, str(self.device), first))
 
     def require_host(self, what: str, path: str = "") -> None:
-        message = f"{what} have no form with arrays on a device: use sim.warp.arrays=host"
+        message = f"{what} are not available with arrays on a device: use sim.warp.arrays=host"
         raise ConfigError([Problem(path, message)])
 
     def saved(self, state: Any) -> Any:
@@ -80,11 +83,15 @@ class DeviceArrays(Arrays):
             return {_ON_DEVICE: state.host()}
         if isinstance(state, Mapping):
             return {key: self.saved(part) for key, part in state.items()}
-        return type(state)(map(self.saved, state)) if type(state) in (list, tuple) else state
+        if type(state) in (list, tuple):
+            return type(state)(map(self.saved, state))
+        return state
 
     def loaded(self, state: Any) -> Any:
         if isinstance(state, Mapping):
             if state.keys() == {_ON_DEVICE}:
                 return DeviceArray(torch.from_numpy(state[_ON_DEVICE].copy()).to(self.device))
             return {key: self.loaded(part) for key, part in state.items()}
-        return type(state)(map(self.loaded, state)) if type(state) in (list, tuple) else state
+        if type(state) in (list, tuple):
+            return type(state)(map(self.loaded, state))
+        return state

@@ -45,13 +45,41 @@ _SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 
 
 class _Part(NamedTuple):
-    """What one launch draws of a camera, and its arrays as tensors."""
+    """What one launch draws of a camera.
+
+    Attributes:
+        context: Warp's settings and arrays.
+        outputs: Which of its arrays are drawn.
+        packed: (N, 4 H W) bytes of colours.
+        depth: (N, H W) metres.
+        surface: (N, H W, 2) geoms, and what they are.
+    """
 
     context: mjw.RenderContext
     outputs: tuple[Output, ...]
     packed: torch.Tensor
     depth: torch.Tensor
     surface: torch.Tensor
+
+
+class _Drawn(NamedTuple):
+    """What a picture is drawn of, and how: parts with the same are made once.
+
+    Attributes:
+        camera: Its id.
+        optics: Its lens as compiled.
+        outputs: Of ``color``, ``depth``, ``mask``.
+        look: ``fast`` or ``full``.
+        lenses_differ: Whether lenses may differ between worlds.
+        attenuates: Whether the attenuation of lights was written.
+    """
+
+    camera: int
+    optics: Optics
+    outputs: tuple[Output, ...]
+    look: Look
+    lenses_differ: bool
+    attenuates: bool
 
 
 class DeviceCameras:
@@ -78,11 +106,13 @@ class DeviceCameras:
         device: str,
         written: Callable[[str], DeviceArray | None],
     ) -> None:
-        self._worlds, self._model, self._count = worlds, model, count
+        self._worlds = worlds
+        self._model = model
+        self._count = count
         self._written = written
         self._device = wp.get_device(device)
         self._scene: mjw.RenderContext | None = None
-        self._parts: dict[Any, list[_Part]] = {}
+        self._parts: dict[_Drawn, list[_Part]] = {}
         self._kernels: dict[Any, Any] = {}
         self._version = -1
 
@@ -94,35 +124,41 @@ class DeviceCameras:
         Args:
             camera: Its id.
             optics: Its lens as compiled; in worlds that may differ, model fields count.
-            outputs: What is wanted.
+            outputs: Of ``color``, ``depth``, ``mask``.
             look: ``fast``, or ``full`` with shadows, highlights and smooth edges.
             version: Number of the state: the tree is computed again when it increases.
 
         Raises:
-            ConfigError: If lenses may differ between worlds, and something of this one has no form
-                then; names the camera.
+            ConfigError: If lenses may differ between worlds, and something of this one is not
+                supported then; names the camera.
         """
-        lenses = self._written(self._lens_field(camera)) is not None
         scene = self._scene
         if scene is None:
             with wp.ScopedDevice(self._device):
-                scene = self._scene = self._make_scene()
+                scene = self._make_scene()
+            self._scene = scene
         if self._version != version:
             self._version = version
             self._worlds.refit(scene)
-        faded = self._written("light_attenuation") is not None
-        key = camera, optics, tuple(outputs), look, lenses, faded
-        if key not in self._parts:
-            if lenses:
+        drawn = _Drawn(
+            camera=camera,
+            optics=optics,
+            outputs=tuple(outputs),
+            look=look,
+            lenses_differ=self._written(self._lens_field(camera)) is not None,
+            attenuates=self._written("light_attenuation") is not None,
+        )
+        if drawn not in self._parts:
+            if drawn.lenses_differ:
                 self._check_lens(camera, optics)
             with wp.ScopedDevice(self._device):
-                self._parts[key] = list(self._make_parts(scene, *key))
-        found: DevicePictures = {}
-        for part in self._parts[key]:
+                self._parts[drawn] = list(self._make_parts(scene, drawn))
+        pictures: DevicePictures = {}
+        for part in self._parts[drawn]:
             self._render(part.context)
             for output in part.outputs:
-                found[output] = DeviceArray(self._read(part, output, optics, lenses))
-        return {output: found[output] for output in outputs}
+                pictures[output] = DeviceArray(self._read(part, output, drawn))
+        return {output: pictures[output] for output in outputs}
 
     def _render(self, context: mjw.RenderContext) -> None:
         """Draw a context; those of one kind share a kernel, which takes a second to build."""
@@ -131,17 +167,17 @@ class DeviceCameras:
         self._worlds.render(context)
         self._kernels[kind] = context._megakernel
 
-    def _read(self, part: _Part, output: Output, optics: Optics, lenses: bool) -> torch.Tensor:
+    def _read(self, part: _Part, output: Output, drawn: _Drawn) -> torch.Tensor:
         """A new array of a picture that was drawn."""
-        size = self._count, optics.height, optics.width
-        if output == "color":  # bytes are blue, green, red, alpha
-            packed = part.packed.view(*size, 4)
-            return torch.stack([packed[..., i] for i in (2, 1, 0, 3)], dim=-1)
+        size = (self._count, drawn.optics.height, drawn.optics.width)
+        if output == "color":
+            blue, green, red, alpha = part.packed.view(*size, 4).unbind(-1)
+            return torch.stack([red, green, blue, alpha], dim=-1)
         if output == "mask":
-            found = part.surface.view(*size, 2)[..., 0]
-            return found.clone(memory_format=torch.contiguous_format)
+            geom = part.surface.view(*size, 2)[..., 0]
+            return geom.clone(memory_format=torch.contiguous_format)
         depth = part.depth.view(size)
-        near = 0.0 if lenses else optics.near  # where rays begin
+        near = 0.0 if drawn.lenses_differ else drawn.optics.near  # where rays begin
         return torch.where(depth > 0, depth + near, depth)
 
     # -- contexts ----------------------------------------------------------------------------------
@@ -151,7 +187,7 @@ class DeviceCameras:
         model = self._model
         _say_what_differs(model)
         sky = np.flatnonzero(model.tex_type == _SKYBOX)
-        found = self._worlds.render_context(
+        scene = self._worlds.render_context(
             cam_active=[],
             cam_res=[],
             background_color=_NO_SKY,
@@ -163,72 +199,83 @@ class DeviceCameras:
         if len(sky) and model.tex_height[sky[0]] != 6 * model.tex_width[sky[0]]:
             face = _pixels(model, int(sky[0]))  # one for all sides
             pictures[int(sky[0])] = np.tile(face, (6, 1, 1))
-        return _with_textures(found, pictures) if pictures else found
+        if pictures:
+            scene = _with_textures(scene, pictures)
+        return scene
 
-    def _make_parts(
+    def _make_parts(self, scene: mjw.RenderContext, drawn: _Drawn) -> Iterator[_Part]:
+        """Yield what is drawn together: only colours in full look have several samples."""
+        if drawn.look == "fast":
+            yield self._make_part(scene, drawn, drawn.outputs, full=False)
+            return
+        others = tuple(output for output in drawn.outputs if output != "color")
+        if others:
+            yield self._make_part(scene, drawn, others, full=False)
+        yield self._make_part(scene, drawn, ("color",), full=True)
+
+    def _make_part(
         self,
         scene: mjw.RenderContext,
-        camera: int,
-        optics: Optics,
+        drawn: _Drawn,
         outputs: tuple[Output, ...],
-        look: Look,
-        lenses: bool,
-        faded: bool,
-    ) -> Iterator[_Part]:
-        plain = outputs if look == "fast" else tuple(o for o in outputs if o != "color")
-        for chosen, full in ((plain, False), (("color",) if look == "full" else (), True)):
-            if not chosen:
-                continue
-            samples = _SAMPLES if full and not lenses else 1
-            context = self._make_context(scene, camera, optics, chosen, full, samples, lenses)
-            context.light_attenuation_is_default &= not faded
-            arrays = context.rgb_data, context.depth_data, context.seg_data
-            packed, depth, surface = map(wp.to_torch, arrays)
-            yield _Part(context, chosen, packed.view(torch.uint8), depth, surface)
+        *,
+        full: bool,
+    ) -> _Part:
+        context = self._make_context(scene, drawn, outputs, full=full)
+        context.light_attenuation_is_default &= not drawn.attenuates
+        return _Part(
+            context=context,
+            outputs=outputs,
+            packed=wp.to_torch(context.rgb_data).view(torch.uint8),
+            depth=wp.to_torch(context.depth_data),
+            surface=wp.to_torch(context.seg_data),
+        )
 
     def _make_context(
         self,
         scene: mjw.RenderContext,
-        camera: int,
-        optics: Optics,
+        drawn: _Drawn,
         outputs: Sequence[Output],
+        *,
         full: bool,
-        samples: int,
-        lenses: bool,
     ) -> mjw.RenderContext:
+        count = self._count
+        optics = drawn.optics
         pixels = optics.width * optics.height
-        wanted = [output in outputs for output in ("color", "depth", "mask")]
-        sizes = [pixels if one else 0 for one in wanted]
-        ways = _rays(optics, samples)
-        lengths = np.linalg.norm(ways, axis=-1, keepdims=True)
-        make, count, zeros = wp.array, self._count, wp.zeros
-        start = make([0], dtype=int)
+        has_colour = "color" in outputs
+        has_depth = "depth" in outputs
+        has_mask = "mask" in outputs
+        same_lens = not drawn.lenses_differ
+        samples = _SAMPLES if full and same_lens else 1
+        rays = _rays(optics, samples)
+        lengths = np.linalg.norm(rays, axis=-1, keepdims=True)
+        start = wp.array([0], dtype=int)
         return dataclasses.replace(
             scene,
             nrender=1,
-            cam_res=make([(optics.width, optics.height)], dtype=wp.vec2i),
-            cam_id_map=make([camera], dtype=int),
+            cam_res=wp.array([(optics.width, optics.height)], dtype=wp.vec2i),
+            cam_id_map=wp.array([drawn.camera], dtype=int),
             total_rays=pixels,
-            ray=make(ways / lengths, dtype=wp.vec3),
+            ray=wp.array(rays / lengths, dtype=wp.vec3),
             # Warp adds these to the origin of rays where there is an orthographic camera. Here they
             # make rays begin at `near`.
-            ray_offset=make(optics.near * ways, dtype=wp.vec3),
-            has_orthographic_camera=not lenses,
-            use_precomputed_rays=not lenses,
-            zfar=optics.far - (0.0 if lenses else optics.near),
+            ray_offset=wp.array(optics.near * rays, dtype=wp.vec3),
+            has_orthographic_camera=same_lens,
+            use_precomputed_rays=same_lens,
+            zfar=optics.far - (optics.near if same_lens else 0.0),
             use_shadows=full,
             enable_specular=full,
             samples_per_pixel=samples,
-            aa_accum=zeros((count, pixels if samples > 1 else 1), dtype=wp.vec3),
-            rgb_data=zeros((count, sizes[0]), dtype=wp.uint32),
-            depth_data=zeros((count, sizes[1]), dtype=wp.float32),
-            seg_data=zeros((count, max(sizes[2], 1)), dtype=wp.vec2i),
+            aa_accum=wp.zeros((count, pixels if samples > 1 else 1), dtype=wp.vec3),
+            rgb_data=wp.zeros((count, pixels if has_colour else 0), dtype=wp.uint32),
+            depth_data=wp.zeros((count, pixels if has_depth else 0), dtype=wp.float32),
+            seg_data=wp.zeros((count, pixels if has_mask else 1), dtype=wp.vec2i),
             rgb_adr=start,
             depth_adr=start,
             seg_adr=start,
-            render_rgb=make(wanted[:1], dtype=bool),
-            render_depth=make(wanted[1:2], dtype=bool),
-            render_seg=make(wanted[2:], dtype=bool),
+            render_rgb=wp.array([has_colour], dtype=bool),
+            render_depth=wp.array([has_depth], dtype=bool),
+            render_seg=wp.array([has_mask], dtype=bool),
         )
 
     # -- lenses that differ ------------------------------------------------------------------------
@@ -237,15 +284,19 @@ class DeviceCameras:
         return "cam_intrinsic" if self._model.cam_sensorsize[camera].all() else "cam_fovy"
 
     def _check_lens(self, camera: int, optics: Optics) -> None:
-        """Check what has no form if rays are computed for each world."""
-        name, where = self._model.camera(camera).name, "where lenses differ between environments"
-        sensor, found = self._model.cam_sensorsize[camera], []
+        """Check what is not supported if rays are computed for each world."""
+        name = self._model.camera(camera).name
+        sensor = self._model.cam_sensorsize[camera]
+        mistakes = []
         if optics.near > _LEAST_NEAR:
-            found.append(f"near must be at most {_LEAST_NEAR} m, got {optics.near},")
+            mistakes.append(f"near must be at most {_LEAST_NEAR} m, got {optics.near},")
         if sensor.all() and abs(sensor[0] * optics.height / sensor[1] / optics.width - 1) > 1e-5:
-            found.append("pixels must be as wide as its file's sensor has them")
-        if found:
-            message = f"camera {name!r}: {' and '.join(found)} {where} and arrays are on a device"
+            mistakes.append("pixels must be as wide as its file's sensor has them")
+        if mistakes:
+            message = (
+                f"camera {name!r}: {' and '.join(mistakes)} where lenses differ between "
+                "environments and arrays are on a device"
+            )
             raise ConfigError([Problem("sensor", message)])
 
 
@@ -261,16 +312,17 @@ def _kernel_kind(context: mjw.RenderContext) -> tuple[Any, ...]:
 
 
 def _rays(optics: Optics, samples: int) -> NDArray[np.float64]:
-    """(S S H W, 3) ways through parts of pixels, 1 m along the axis, in the camera's frame."""
-    (fx, fy), (cx, cy) = optics.focal, optics.centre
-    found = []
+    """(S S H W, 3) rays through parts of pixels, 1 m along the axis, in the camera's frame."""
+    fx, fy = optics.focal
+    cx, cy = optics.centre
+    rays = []
     for down in range(samples):
         for across in range(samples):
             columns = np.arange(optics.width) + (across + 0.5) / samples
             rows = np.arange(optics.height) + (down + 0.5) / samples
             right, up = np.meshgrid((columns - cx) / fx, (cy - rows) / fy)
-            found.append(np.stack([right, up, -np.ones_like(right)], axis=-1).reshape(-1, 3))
-    return np.concatenate(found)
+            rays.append(np.stack([right, up, -np.ones_like(right)], axis=-1).reshape(-1, 3))
+    return np.concatenate(rays)
 
 
 def _pixels(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
@@ -284,13 +336,15 @@ def _with_textures(
     scene: mjw.RenderContext, pictures: dict[int, NDArray[np.uint8]]
 ) -> mjw.RenderContext:
     """A scene with other pictures (H, W, C) as textures, by their ids."""
-    kept = list(scene.textures_registry)
+    registry = list(scene.textures_registry)
     for texture, picture in pictures.items():
-        whole = np.ones((*picture.shape[:2], 4), np.float32)
-        whole[..., :3] = picture[..., : 3 if picture.shape[2] >= 3 else 1] / np.float32(255.0)
-        kept[texture] = wp.Texture2D(wp.array(whole), filter_mode=wp.TextureFilterMode.LINEAR)
-    textures = wp.array(kept, dtype=wp.Texture2D)
-    return dataclasses.replace(scene, textures=textures, textures_registry=kept)
+        is_grey = picture.shape[2] < 3
+        rgb = picture[..., :1] if is_grey else picture[..., :3]
+        rgba = np.ones((*picture.shape[:2], 4), np.float32)
+        rgba[..., :3] = rgb / np.float32(255.0)
+        registry[texture] = wp.Texture2D(wp.array(rgba), filter_mode=wp.TextureFilterMode.LINEAR)
+    textures = wp.array(registry, dtype=wp.Texture2D)
+    return dataclasses.replace(scene, textures=textures, textures_registry=registry)
 
 
 def _mean(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:

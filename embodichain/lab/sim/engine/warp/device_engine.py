@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +79,14 @@ _OF_CENTRES = frozenset({"subtree_com", "cdof"})
 _OF_VELOCITIES = frozenset({"cvel", "cdof_dot"})
 
 
+@dataclass(frozen=True, eq=False)
+class _DeviceOutput:
+    """A field that physics writes: see `PhysicsOutput`."""
+
+    live: DeviceArray
+    copy: DeviceArray
+
+
 class DeviceEngine(WarpEngine):
     """N simulations of one model; states and fields are `DeviceArray`, views of Warp's memory.
 
@@ -115,17 +124,14 @@ class DeviceEngine(WarpEngine):
         self.worlds.upload(self._rows)
         self._time = torch.zeros((num_envs, 1), dtype=torch.float64, device=self.device)
         self._states = {
-            name: DeviceArray(self._time if name == "time" else self.worlds.view(name, width))
+            name: DeviceArray(self._view_of_state(name, columns.stop - columns.start))
             for name, columns in self._layout.items()
-            if (width := columns.stop - columns.start)
         }
-        empty = torch.zeros((num_envs, 0), device=self.device)
-        self._states |= {n: DeviceArray(empty) for n in self._layout if n not in self._states}
         # Fields that `forward` has to compute when they are read, and for which environments: a
         # mask of each, at one address, so that a recorded step can read that of the step before.
         self._late: set[str] = set()
         self._late_masks: dict[str, DeviceArray] = {}
-        self._kept: dict[str, tuple[DeviceArray, DeviceArray]] = {}
+        self._outputs: dict[str, _DeviceOutput] = {}
         self._wild = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._overflow = torch.zeros(num_envs, dtype=torch.int32, device=self.device)
         # Written by the device and read by the host without waiting.
@@ -135,6 +141,14 @@ class DeviceEngine(WarpEngine):
         self._views_made = 0
         self._history = SensorHistory(num_envs, lambda array: on_device(array, self.device))
         self.fields = DeviceFields(self.worlds, self._fields, model, num_envs, self.device)
+
+    def _view_of_state(self, name: str, width: int) -> torch.Tensor:
+        """(N, width) live numbers of a state component."""
+        if not width:
+            return torch.zeros((self.num_envs, 0), device=self.device)
+        if name == "time":  # in float64, which Warp's is not
+            return self._time
+        return self.worlds.view(name, width)
 
     @property
     def revision(self) -> int:
@@ -172,17 +186,17 @@ class DeviceEngine(WarpEngine):
         return self._states[name]
 
     def derived(self, name: str) -> Any:
-        found = self._derived_views.get(name)
-        if found is None:
+        view = self._derived_views.get(name)
+        if view is None:
             shape = self._empty(name).shape
-            found = DeviceArray(self.worlds.view(name).reshape(shape))
-            self._derived_views[name] = found
+            view = DeviceArray(self.worlds.view(name).reshape(shape))
+            self._derived_views[name] = view
             self._views_made += 1
             self._only_kinematics &= name in KINEMATIC_STAGES and name != "sensordata"
             self._any_dirty = True
         if self._any_dirty:
             self._refresh()
-        return found
+        return view
 
     def _refresh(self) -> None:
         self._upload()
@@ -197,8 +211,8 @@ class DeviceEngine(WarpEngine):
     def _kinds(self) -> dict[str, bool]:
         """Which fields of `WarpWorlds.kinematics` are in use."""
         names = self._derived_views.keys()
-        seen = any(name.startswith(("cam_", "light_")) for name in names)
-        return {"cameras": seen, "velocities": bool(names & _OF_VELOCITIES)}
+        has_cameras = any(name.startswith(("cam_", "light_")) for name in names)
+        return {"cameras": has_cameras, "velocities": bool(names & _OF_VELOCITIES)}
 
     def _stream(self) -> Any:
         """Launch Warp's kernels on torch's stream, in the order of the calls."""
@@ -217,8 +231,8 @@ class DeviceEngine(WarpEngine):
             yield capture
 
     def acceleration(self, name: str) -> Any:
-        found = self._kept.get(name)
-        if found is None:
+        output = self._outputs.get(name)
+        if output is None:
             shape = self._empty(name).shape
             if name in CONSTRAINT_FORCES:
                 self.worlds.want_constraint_forces()
@@ -226,14 +240,15 @@ class DeviceEngine(WarpEngine):
             with self._stream():
                 self.worlds.forward()
             self._any_dirty = True
-            output = DeviceArray(self.worlds.view(name).reshape(shape))
-            found = self._kept[name] = output, output.copy()
+            live = DeviceArray(self.worlds.view(name).reshape(shape))
+            output = _DeviceOutput(live, live.copy())
+            self._outputs[name] = output
             none = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
             self._late_masks[name] = DeviceArray(none)
             self._views_made += 1
         if name in self._late:
             self._compute_late(name)
-        return found[1]
+        return output.copy
 
     def _compute_late(self, name: str) -> None:
         """Compute a field where `forward` was called after the last step."""
@@ -246,9 +261,9 @@ class DeviceEngine(WarpEngine):
                 self.worlds.forward()
         if self._only_kinematics:
             self._any_dirty = False
-        output, copy = self._kept[name]
+        output = self._outputs[name]
         mask = self._late_masks[name]
-        copy[EnvMask(mask.tensor)] = output
+        output.copy[EnvMask(mask.tensor)] = output.live
         mask[...] = False
 
     def keep_sensors(self, columns: slice, depth: int) -> None:
@@ -267,11 +282,13 @@ class DeviceEngine(WarpEngine):
         self.derived("geom_xpos")  # the kinematics of the current state
         rays = np.broadcast_shapes(origins.shape, directions.shape, (1, 1, 3))[1]
         shape = (self.num_envs, rays, 3)
-        starts, ways = (tensor_of(np.broadcast_to(x, shape)) for x in (origins, directions))
+        origins = tensor_of(np.broadcast_to(origins, shape))
+        directions = tensor_of(np.broadcast_to(directions, shape))
         with self._stream():
-            found = self.worlds.cast(starts.contiguous(), ways.contiguous(), geoms)
-        hits: list[Any] = [DeviceArray(part) for part in found]
-        return RayHits(hits[0], hits[1], hits[2] if normal else None)
+            hits = self.worlds.cast(origins.contiguous(), directions.contiguous(), geoms)
+        arrays: list[Any] = [DeviceArray(part) for part in hits]
+        distance, geom, normals = arrays
+        return RayHits(distance, geom, normals if normal else None)
 
     def pictures(
         self, camera: int, optics: Optics, outputs: Sequence[Output], look: Look
@@ -287,14 +304,19 @@ class DeviceEngine(WarpEngine):
     def _cameras(self) -> DeviceCameras:
         from embodichain.lab.sim.engine.warp.device_cameras import DeviceCameras
 
-        count, device = self.num_envs, str(self.device)
-        return DeviceCameras(self.worlds, self.model, count, device, self.fields.written)
+        return DeviceCameras(
+            worlds=self.worlds,
+            model=self.model,
+            count=self.num_envs,
+            device=str(self.device),
+            written=self.fields.written,
+        )
 
     # -- physics -----------------------------------------------------------------------------------
 
     def step(self, nstep: int, env_ids: Any = None) -> None:
         if env_ids is not None:
-            message = "physics steps of some environments have no form on a device"
+            message = "physics steps of some environments are not available on a device"
             raise HostTransferError(f"{message}: use sim.warp.arrays=host")
         self._upload()
         for listener in self.listeners:
@@ -307,15 +329,16 @@ class DeviceEngine(WarpEngine):
         self._check_states()
         self._mark(None)
         self._late.clear()
-        for name, (output, copy) in self._kept.items():
-            copy[...] = output
+        for name, output in self._outputs.items():
+            output.copy[...] = output.live
             self._late_masks[name][...] = False
 
     def _step_worlds(self, nstep: int) -> None:
         if not self._history:
             self.worlds.step(nstep)
             return
-        sensors, recorded = self.worlds.view("sensordata"), []
+        sensors = self.worlds.view("sensordata")
+        recorded: list[DeviceArray] = []
         self.worlds.step(nstep, lambda: recorded.append(DeviceArray(sensors.clone())))
         self._history.append(np.stack(recorded, axis=1), None)
 
@@ -328,9 +351,14 @@ class DeviceEngine(WarpEngine):
 
     def _check_states(self) -> None:
         """Mark environments that diverged, and memory that was not enough, on the device."""
-        found = [self._states["qpos"].tensor, self._states["qvel"].tensor]
-        found += [self.worlds.view("overflow"), self._wild, self._overflow]
-        arrays = [wp.from_torch(tensor) for tensor in found]
+        tensors = [
+            self._states["qpos"].tensor,
+            self._states["qvel"].tensor,
+            self.worlds.view("overflow"),
+            self._wild,
+            self._overflow,
+        ]
+        arrays = [wp.from_torch(tensor) for tensor in tensors]
         limits = [wp.float32(LARGEST), COLLISION_BITS, ROW_BITS]
         with self._stream():
             wp.launch(_check, self.num_envs, [*arrays, *limits], device=str(self.device))
@@ -348,14 +376,14 @@ class DeviceEngine(WarpEngine):
     def forward(self, env_ids: Any = None) -> None:
         for mask in self._late_masks.values():
             mask[ALL if env_ids is None else env_ids] = True
-        self._late.update(self._kept)
+        self._late.update(self._outputs)
         self._history.begin(env_ids)
         self.version += 1
 
     def take_diverged(self) -> Any:
-        found = DeviceArray(self._wild.clone())
+        diverged = DeviceArray(self._wild.clone())
         self._wild.zero_()
-        return found
+        return diverged
 
     def reset(self, env_ids: Any = None, row: F64 | None = None) -> None:
         state = self._default_row if row is None else row
@@ -382,15 +410,16 @@ class DeviceEngine(WarpEngine):
         if not numbers.ndim:
             numbers = np.full(len(places), numbers)
         for name, columns in self._layout.items():
-            here = (places >= columns.start) & (places < columns.stop)
-            if not here.any():
+            is_here = (places >= columns.start) & (places < columns.stop)
+            if not is_here.any():
                 continue
-            part: Any = numbers[..., here]
-            into = places[here] - columns.start
+            part: Any = numbers[..., is_here]
             if part.ndim > 1:
                 part = DeviceArray(torch.from_numpy(part.copy()).to(self.device))
-            where: Any = ALL if len(into) == columns.stop - columns.start else into
-            self._states[name][entries(env_ids, where)] = part
+            part_columns: Any = places[is_here] - columns.start
+            if len(part_columns) == columns.stop - columns.start:
+                part_columns = ALL
+            self._states[name][entries(env_ids, part_columns)] = part
 
     def write_model(
         self, field: str, values: Any, env_ids: Any = None, columns: Columns = ALL
@@ -435,9 +464,11 @@ class DeviceEngine(WarpEngine):
         if self.fields.moved:
             with self._stream():
                 self.worlds.kinematics()
-            names = "geom_xpos", "geom_xmat", "xpos", "xquat"
-            pos, matrices, *bodies = (DeviceArray(self.worlds.view(name)) for name in names)
-            self.fields.place_geoms(pos, matrices, (bodies[0], bodies[1]))
+            self.fields.place_geoms(
+                DeviceArray(self.worlds.view("geom_xpos")),
+                DeviceArray(self.worlds.view("geom_xmat")),
+                (DeviceArray(self.worlds.view("xpos")), DeviceArray(self.worlds.view("xquat"))),
+            )
 
     def _pull_fields(self) -> None:
         """Copy the model fields to the batch on the host; waits for the device."""
@@ -461,8 +492,10 @@ class DeviceEngine(WarpEngine):
         return super().data_of(env_id)
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        kept = {k: on_device(v, self.device) for k, v in state["acceleration"].items()}
-        super().load_state_dict({**state, "acceleration": kept})
+        acceleration = {
+            name: on_device(values, self.device) for name, values in state["acceleration"].items()
+        }
+        super().load_state_dict({**state, "acceleration": acceleration})
         self._wild.zero_()
 
     def state_dict(self) -> dict[str, Any]:
@@ -470,7 +503,7 @@ class DeviceEngine(WarpEngine):
             "rows": self.host_rows(),
             "model": self.model_fields(),
             "warning": self._batch.warning.copy(),
-            "acceleration": {name: self.acceleration(name).host() for name in self._kept},
+            "acceleration": {name: self.acceleration(name).host() for name in self._outputs},
             "sensor_history": _hosted(self._history.state_dict()),
         }
 

@@ -62,13 +62,17 @@ class DeviceFields:
         count: int,
         device: torch.device,
     ) -> None:
-        self._worlds, self._host, self._model = worlds, host, model
-        self._count, self._device = count, device
+        self._worlds = worlds
+        self._host = host
+        self._model = model
+        self._count = count
+        self._device = device
         self._views: dict[str, DeviceArray] = {}
-        self._wide = torch.tensor([-NO_LIMIT, NO_LIMIT], device=device)
-        welded = model.body_weldid[model.geom_bodyid] == 0
-        self._constant: NDArray[np.int64] = np.flatnonzero(welded)
-        self.moved = self.has_constants = False
+        self._unlimited = torch.tensor([-NO_LIMIT, NO_LIMIT], device=device)
+        is_welded = model.body_weldid[model.geom_bodyid] == 0
+        self._fixed_geoms: NDArray[np.int64] = np.flatnonzero(is_welded)
+        self.moved = False
+        self.has_constants = False
         self.revision = 0
 
     def view(self, name: str) -> DeviceArray:
@@ -78,18 +82,23 @@ class DeviceFields:
             ValueError: If there is no such field; suggests the closest.
             ConfigError: If it cannot differ between worlds in Warp.
         """
-        found = self._views.get(name)
-        if found is None:
+        view = self._views.get(name)
+        if view is None:
             self._host.view(name)  # raises, and expands the field there
-            default = self._host.default(name)
-            tensor = None if name in _FORCES else self._worlds.own_field(name)
-            if tensor is None:  # physics does not read it, or reads what `_put_forces` sets
-                if name not in _FORCES:
-                    self._worlds.require_unused(name)
-                tensor = on_device(default, self._device).tensor.repeat(self._count, 1)
-            found = self._views[name] = DeviceArray(tensor.view(self._count, -1))
+            view = DeviceArray(self._make_field(name).view(self._count, -1))
+            self._views[name] = view
             self.revision += 1
-        return found
+        return view
+
+    def _make_field(self, name: str) -> torch.Tensor:
+        """Values of a field for each world: Warp's, or others where physics does not read them."""
+        if name not in _FORCES:  # physics reads what `_put_forces` makes of these
+            tensor = self._worlds.own_field(name)
+            if tensor is not None:
+                return tensor
+            self._worlds.require_unused(name)
+        default = self._host.default(name)
+        return on_device(default, self._device).tensor.repeat(self._count, 1)
 
     @property
     def written_names(self) -> list[str]:
@@ -131,8 +140,9 @@ class DeviceFields:
         """Flags of limited actuators are shared by all worlds: the others get a wide range."""
         limited, ranges = (self.view(name).tensor for name in _FORCES)
         shape = (*limited.shape, 2)
-        wide = self._wide.expand(shape)
-        self._worlds.limit_forces(torch.where(limited[..., None] != 0, ranges.view(shape), wide))
+        is_limited = limited[..., None] != 0
+        ranges = torch.where(is_limited, ranges.view(shape), self._unlimited.expand(shape))
+        self._worlds.limit_forces(ranges)
 
     def set_const(self) -> None:
         """Compute the constants that depend on other fields, of all worlds."""
@@ -154,15 +164,15 @@ class DeviceFields:
             bodies: (N, nbody, 3) positions and (N, nbody, 4) orientations of bodies.
         """
         self.moved = False
-        geoms = self._constant
+        geoms = self._fixed_geoms
         owner = self._model.geom_bodyid[geoms].astype(np.int64)
-        pos, quat = bodies[0][:, owner], bodies[1][:, owner]
-        own: Any = [
-            self.view(f"geom_{name}").reshape(self._count, -1, width)[:, geoms]
-            for name, width in (("pos", 3), ("quat", 4))
-        ]
-        positions[:, geoms] = pos + quat_rotate(quat, own[0])
-        matrices[:, geoms] = quat_to_matrix(quat_multiply(quat, own[1]))
+        body_positions, body_quats = bodies
+        body_pos = body_positions[:, owner]
+        body_quat = body_quats[:, owner]
+        geom_pos: Any = self.view("geom_pos").reshape(self._count, -1, 3)[:, geoms]
+        geom_quat: Any = self.view("geom_quat").reshape(self._count, -1, 4)[:, geoms]
+        positions[:, geoms] = body_pos + quat_rotate(body_quat, geom_pos)
+        matrices[:, geoms] = quat_to_matrix(quat_multiply(body_quat, geom_quat))
 
     def host(self) -> dict[str, F64]:
         """Copy the fields to the host, (N, size) each; waits for the device."""

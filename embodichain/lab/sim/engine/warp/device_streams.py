@@ -190,10 +190,12 @@ class DeviceStreams:
         key = (shape, *(b if np.isscalar(b) else id(b) for b in (low, high)))
         if fixed and key in self._bounds:
             return self._bounds[key][0], self._bounds[key][1]
-        found = [wp.from_torch(self._rows(name, bound, shape)) for bound in (low, high)]
+        low_rows = wp.from_torch(self._rows(name, low, shape))
+        high_rows = wp.from_torch(self._rows(name, high, shape))
         if fixed:
-            self._bounds[key] = (*found, low, high)  # the bounds too: an address is not reused
-        return found[0], found[1]
+            # The bounds too: an address is not reused.
+            self._bounds[key] = (low_rows, high_rows, low, high)
+        return low_rows, high_rows
 
     def _rows(self, name: str, bound: Any, shape: tuple[int, ...]) -> torch.Tensor:
         if isinstance(bound, DeviceArray):
@@ -206,22 +208,23 @@ class DeviceStreams:
 
     def _stream(self, name: str) -> tuple[wp.array, wp.array]:
         """Keys and counters (N,) of a stream."""
-        found = self._streams.get(name)
-        if found is None:
-            self._need_no_capture(f"the keys of random stream {name!r}")
-            row = len(self._names) % _STREAMS
-            if row == 0:
-                size, kind = (_STREAMS, self.num_envs), torch.int64
-                zeros = [torch.zeros(size, dtype=kind, device=self._device) for _ in range(2)]
-                self._blocks.append(_Block(*zeros))
-            self._names.append(name)
-            keys, counters = self._blocks[-1]
-            keys[row] = self._uploaded(stream_keys(self.seed, name, self._numbers))
-            found = self._streams[name] = (
-                wp.from_torch(keys[row], wp.uint64),
-                wp.from_torch(counters[row], wp.uint64),
-            )
-        return found
+        stream = self._streams.get(name)
+        if stream is None:
+            stream = self._add_stream(name)
+            self._streams[name] = stream
+        return stream
+
+    def _add_stream(self, name: str) -> tuple[wp.array, wp.array]:
+        self._need_no_capture(f"the keys of random stream {name!r}")
+        row = len(self._names) % _STREAMS
+        if row == 0:
+            shape = (_STREAMS, self.num_envs)
+            keys = torch.zeros(shape, dtype=torch.int64, device=self._device)
+            self._blocks.append(_Block(keys, torch.zeros_like(keys)))
+        self._names.append(name)
+        keys, counters = self._blocks[-1]
+        keys[row] = self._uploaded(stream_keys(self.seed, name, self._numbers))
+        return wp.from_torch(keys[row], wp.uint64), wp.from_torch(counters[row], wp.uint64)
 
     def _need_no_capture(self, what: str) -> None:
         if torch.cuda.is_available() and torch.cuda.is_current_stream_capturing():
@@ -289,7 +292,10 @@ class DeviceStreams:
         for i, name in enumerate(self._names):
             row = self._blocks[i // _STREAMS].counters[i % _STREAMS]
             words = state["counters"].get(name)
-            row.zero_() if words is None else row.copy_(self._uploaded(np.array(words, np.uint64)))
+            if words is None:
+                row.zero_()
+            else:
+                row.copy_(self._uploaded(np.array(words, np.uint64)))
 
     def _write_keys(self) -> None:
         for i, name in enumerate(self._names):

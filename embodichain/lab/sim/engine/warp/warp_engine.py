@@ -21,7 +21,7 @@ from embodichain.lab.sim.engine.api import (
     RayHits,
     Write,
 )
-from embodichain.lab.sim.engine.cpu.cpu_engine import KINEMATIC_STAGES, HostEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import KINEMATIC_STAGES, HostEngine, PhysicsOutput
 from embodichain.lab.sim.engine.warp.warp_support import unsupported
 from embodichain.lab.sim.engine.warp.warp_worlds import WarpWorlds
 from embodichain.utils.errors import ConfigError, Problem
@@ -91,7 +91,8 @@ class WarpEngine(HostEngine):
             raise ConfigError(problems)
         super().__init__(model, num_envs, num_threads, False)
         self.worlds = WarpWorlds(model, num_envs, device, nconmax, njmax)
-        self._diverged = self._divergence = _Diverged(num_envs)
+        self._diverged = _Diverged(num_envs)
+        self._divergence = self._diverged
         self._only_kinematics = True
         self._model_changed = False
 
@@ -101,7 +102,8 @@ class WarpEngine(HostEngine):
         if name not in self._derived:
             self._derived[name] = self._empty(name)
             self._only_kinematics &= name in KINEMATIC_STAGES and name != "sensordata"
-            self._any_dirty = self._all_dirty = True
+            self._any_dirty = True
+            self._all_dirty = True
         if self._any_dirty:
             self._refresh()
         return self._derived[name]
@@ -110,10 +112,10 @@ class WarpEngine(HostEngine):
         """An array for a field of all environments, shaped as the batch's."""
         out: F64 = np.zeros(self._batch.bind(name).shape)
         if self.worlds.width(name) != out[0].size:
-            known = [key for key in mujoco.batch.DATA_FIELDS if self.worlds.width(key)]
+            fields = [field for field in mujoco.batch.DATA_FIELDS if self.worlds.width(field)]
             raise ValueError(
-                f"MuJoCo Warp has no field {name!r}; there are {', '.join(sorted(known))}."
-                f"{did_you_mean(name, known)}"
+                f"MuJoCo Warp has no field {name!r}; there are {', '.join(sorted(fields))}."
+                f"{did_you_mean(name, fields)}"
             )
         return out
 
@@ -125,29 +127,28 @@ class WarpEngine(HostEngine):
             self.worlds.position_and_velocity()
         for name, out in self._derived.items():
             self.worlds.read(name, out)
-        self._clean()
-
-    def _clean(self) -> None:
-        self._dirty[:] = False
-        self._any_dirty = self._all_dirty = False
+        self._mark_all_clean()
 
     def acceleration(self, name: str) -> F64:
-        found = self._accelerations.get(name)
-        if found is None:
-            output = self._empty(name)
+        output = self._accelerations.get(name)
+        if output is None:
+            live = self._empty(name)
             if name in CONSTRAINT_FORCES:
                 self.worlds.want_constraint_forces()
             self._upload()
             self.worlds.forward()
             self._check_memory(None)
-            self.worlds.read(name, output)
-            self._any_dirty = self._all_dirty = True  # of the reads of `derived`
-            found = self._accelerations[name] = output, output.copy()
-        return found[1]
+            self.worlds.read(name, live)
+            # The reads of `derived` are out of date.
+            self._any_dirty = True
+            self._all_dirty = True
+            output = PhysicsOutput(live, live.copy())
+            self._accelerations[name] = output
+        return output.copy
 
     def _read_accelerations(self, env_ids: EnvIndex | None) -> None:
-        for name, (output, _) in self._accelerations.items():
-            self.worlds.read(name, output)
+        for name, output in self._accelerations.items():
+            self.worlds.read(name, output.live)
         self._copy_accelerations(env_ids)
 
     def cast_rays(
@@ -161,17 +162,19 @@ class WarpEngine(HostEngine):
     ) -> RayHits:
         self.derived("geom_xpos")  # the kinematics of the current state
         count = self.num_envs if env_ids is None else len(env_ids)
-        here: Any = ALL if env_ids is None else env_ids
+        envs: Any = ALL if env_ids is None else env_ids
         rays = np.broadcast_shapes(np.shape(origins), np.shape(directions), (1, 1, 3))[1]
+        # The device casts rays in all worlds: those of the others are not read.
         shape = (self.num_envs, rays, 3)
-        starts, ways = np.zeros(shape, np.float32), np.ones(shape, np.float32)
-        starts[here] = np.broadcast_to(origins, (count, rays, 3))
-        ways[here] = np.broadcast_to(directions, (count, rays, 3))
-        distance, geom, normals = self.worlds.rays(starts, ways, geoms)
+        all_origins = np.zeros(shape, np.float32)
+        all_directions = np.ones(shape, np.float32)
+        all_origins[envs] = np.broadcast_to(origins, (count, rays, 3))
+        all_directions[envs] = np.broadcast_to(directions, (count, rays, 3))
+        distance, geom, normals = self.worlds.rays(all_origins, all_directions, geoms)
         return RayHits(
-            distance[here].astype(np.float64),
-            geom[here],
-            normals[here].astype(np.float64) if normal else None,
+            distance[envs].astype(np.float64),
+            geom[envs],
+            normals[envs].astype(np.float64) if normal else None,
         )
 
     # -- physics -----------------------------------------------------------------------------------
@@ -184,11 +187,12 @@ class WarpEngine(HostEngine):
         self._upload()
         recorded: list[F64] = []
         if self._history:
-            shape = self.num_envs, self.model.nsensordata
+            shape = (self.num_envs, self.model.nsensordata)
 
             def record() -> None:
-                recorded.append(np.zeros(shape))
-                self.worlds.read("sensordata", recorded[-1])
+                sensordata = np.zeros(shape)
+                self.worlds.read("sensordata", sensordata)
+                recorded.append(sensordata)
 
             self.worlds.step(nstep, record)
         else:
@@ -222,17 +226,17 @@ class WarpEngine(HostEngine):
             ConfigError: If the memory for contacts, constraints or sensors was not enough.
         """
         overflow = self.worlds.counts().overflow
-        wild: NDArray[np.bool_] = np.zeros(self.num_envs, np.bool_)
+        diverged: NDArray[np.bool_] = np.zeros(self.num_envs, np.bool_)
         for name in ("qpos", "qvel"):
-            wild |= ~(np.abs(self._views[name]) < LARGEST).all(axis=1)
+            diverged |= ~(np.abs(self._views[name]) < LARGEST).all(axis=1)
         if overflow.any():
             # A state that is not finite any more may need any amount of rows.
-            require_memory(np.where(wild, overflow & ~ROW_BITS, overflow), self.worlds)
-            wild |= (overflow & COLLISION_BITS) != 0
+            require_memory(np.where(diverged, overflow & ~ROW_BITS, overflow), self.worlds)
+            diverged |= (overflow & COLLISION_BITS) != 0
         if env_ids is not None:
-            wild[np.setdiff1d(np.arange(self.num_envs), env_ids)] = False
-        if wild.any():
-            self._diverged.add(wild)
+            diverged[np.setdiff1d(np.arange(self.num_envs), env_ids)] = False
+        if diverged.any():
+            self._diverged.add(diverged)
 
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         self._history.begin(env_ids)
@@ -242,7 +246,7 @@ class WarpEngine(HostEngine):
         self._read_accelerations(env_ids)
         for name, out in self._derived.items():
             self.worlds.read(name, out)
-        self._clean()
+        self._mark_all_clean()
         self.version += 1
         self._notify(Write("forward", "", env_ids, ALL, None))
 
@@ -270,7 +274,8 @@ class WarpEngine(HostEngine):
     def _put_fields(self) -> None:
         """Copy the model fields that differ, and poses of geoms that depend on them."""
         if self.worlds.put_fields(self._fields.expanded()):
-            position, matrix = (self._batch.bind(f"geom_{name}") for name in ("xpos", "xmat"))
+            position = self._batch.bind("geom_xpos")
+            matrix = self._batch.bind("geom_xmat")
             self._call(self._batch.forward, None, stage=int(mujoco.mjtStage.mjSTAGE_POS))
             self.worlds.put_poses_of_geoms(position, matrix)
 
@@ -337,6 +342,6 @@ class _Diverged:
         """(N,) mask of environments that diverged since the last call, or None."""
         if not self._mask.any():
             return None
-        found = self._mask.copy()
+        diverged = self._mask.copy()
         self._mask[:] = False
-        return found
+        return diverged

@@ -49,11 +49,11 @@ def why_missing(device: str) -> str:
     number = re.fullmatch(r"cuda(?::(\d+))?", device)
     if number is None:
         return ""
-    found = cuda_devices()
-    if not found:
+    devices = cuda_devices()
+    if not devices:
         return "there is no CUDA device here (sim.engine=warp device=cpu runs, slowly, without)"
-    if int(number[1] or 0) >= len(found):
-        return f"there is no such CUDA device here; there are: {', '.join(found)}"
+    if int(number[1] or 0) >= len(devices):
+        return f"there is no such CUDA device here; there are: {', '.join(devices)}"
     return ""
 
 

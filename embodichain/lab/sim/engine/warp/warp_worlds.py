@@ -130,8 +130,8 @@ class WarpWorlds:
 
     def download(self, name: str) -> NDArray[Any]:
         """A state component of all worlds, (N, width)."""
-        found: NDArray[Any] = getattr(self._data, name).numpy()
-        return found.reshape(self._count, -1)
+        values: NDArray[Any] = getattr(self._data, name).numpy()
+        return values.reshape(self._count, -1)
 
     def _components(self) -> Iterator[tuple[slice, Any]]:
         for name, columns in self._layout.items():
@@ -221,10 +221,15 @@ class WarpWorlds:
             if self._compiled.jnt_actgravcomp.any():  # computed with the passive forces
                 mjw.fwd_velocity(model, data)
             else:
-                shape = data.moment_rownnz.shape
-                rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
-                inputs = [*rows, data.actuator_moment, data.qvel, data.actuator_velocity]
-                wp.launch(_actuator_velocity, shape, inputs)
+                inputs = [
+                    data.moment_rownnz,
+                    data.moment_rowadr,
+                    data.moment_colind,
+                    data.actuator_moment,
+                    data.qvel,
+                    data.actuator_velocity,
+                ]
+                wp.launch(_actuator_velocity, data.moment_rownnz.shape, inputs)
             mjw.fwd_actuation(model, data)
 
     def positions(self) -> None:
@@ -237,17 +242,17 @@ class WarpWorlds:
         """Numbers of the last position stage, and overflows since the last computation began."""
         data = self._data
         return Counts(
-            int(data.nacon.numpy()[0]),
-            int(data.ncollision.numpy()[0]),
-            data.nefc.numpy().copy(),
-            data.overflow.numpy().copy(),
+            contacts=int(data.nacon.numpy()[0]),
+            pairs=int(data.ncollision.numpy()[0]),
+            rows=data.nefc.numpy().copy(),
+            overflow=data.overflow.numpy().copy(),
         )
 
     def contacts(self) -> NDArray[np.int64]:
         """(n, 3) world and two geom ids of each contact of the last position stage, sorted."""
         count = self.counts().contacts
-        found = self._data.contact
-        ids = np.column_stack([found.worldid.numpy()[:count], found.geom.numpy()[:count]])
+        contact = self._data.contact
+        ids = np.column_stack([contact.worldid.numpy()[:count], contact.geom.numpy()[:count]])
         ids[:, 1:].sort(axis=1)
         return np.asarray(ids[np.lexsort(ids.T[::-1])], np.int64)
 
@@ -270,15 +275,18 @@ class WarpWorlds:
             (N, R, 3), 0 for none.
         """
         device = str(self._device)
-        starts, ways = (torch.from_numpy(part).to(device) for part in (origins, directions))
-        distance, geom, normal = (part.cpu().numpy() for part in self.cast(starts, ways, geoms))
+        hits = self.cast(
+            torch.from_numpy(origins).to(device), torch.from_numpy(directions).to(device), geoms
+        )
+        distance, geom, normal = (part.cpu().numpy() for part in hits)
         return distance, geom, normal
 
     def cast(
         self, origins: torch.Tensor, directions: torch.Tensor, geoms: NDArray[np.bool_]
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Intersect rays as `rays` does, with contiguous float32 tensors on the device."""
-        model, (count, each) = self._model, origins.shape[:2]
+        model = self._model
+        count, each = origins.shape[:2]
         key = geoms.tobytes()
         distance = torch.empty((count, each), device=origins.device)
         geom = torch.empty((count, each), dtype=torch.int32, device=origins.device)
@@ -289,7 +297,8 @@ class WarpWorlds:
         with wp.ScopedDevice(self._device):
             if key not in self._groups:  # geoms are chosen by group
                 self._groups[key] = wp.array(np.where(geoms, 0, 5), dtype=int)
-            kept, model.geom_group = model.geom_group, self._groups[key]
+            compiled_group = model.geom_group
+            model.geom_group = self._groups[key]
             try:
                 mjw.rays(
                     model,
@@ -304,12 +313,12 @@ class WarpWorlds:
                     wp.from_torch(normal, wp.vec3),
                 )
             finally:
-                model.geom_group = kept
-        hit = geom >= 0
+                model.geom_group = compiled_group
+        is_hit = geom >= 0
         return (
-            torch.where(hit, distance / lengths, -1.0),
+            torch.where(is_hit, distance / lengths, -1.0),
             geom,
-            torch.where(hit[..., None], normal, 0.0),
+            torch.where(is_hit[..., None], normal, 0.0),
         )
 
     # -- pictures ----------------------------------------------------------------------------------
@@ -373,9 +382,9 @@ class WarpWorlds:
             if array.shape == shape:
                 array.assign(_as_type(values, array))
             else:
-                whole = wp.empty(shape, dtype=array.dtype)
-                whole.assign(_as_type(values, whole))
-                setattr(owner, field, whole)
+                of_worlds = wp.empty(shape, dtype=array.dtype)
+                of_worlds.assign(_as_type(values, of_worlds))
+                setattr(owner, field, of_worlds)
             return None
         # Of the derived fields that Warp does not have, some are longer in the model.
         if name in DERIVED_FIELDS or (values == compiled_field(self._compiled, name)).all():
@@ -415,9 +424,9 @@ class WarpWorlds:
             return None
         if field not in self._own:
             shared = wp.to_torch(array)
-            whole = shared.expand(self._count, *shared.shape[1:]).clone()
+            of_worlds = shared.expand(self._count, *shared.shape[1:]).clone()
             # Memory of torch, so that its stream orders what uses it.
-            setattr(owner, field, wp.from_torch(whole, array.dtype))
+            setattr(owner, field, wp.from_torch(of_worlds, array.dtype))
             self._own.add(field)
         return wp.to_torch(getattr(owner, field))
 
@@ -448,9 +457,10 @@ class WarpWorlds:
             self._ranges = np.asarray(values, np.float64)
         wide = np.array([-NO_LIMIT, NO_LIMIT])
         ranges = np.where(self._limited[..., None], self._ranges, wide).astype(np.float32)
-        flags, kept = self._model.actuator_forcelimited, self._model.actuator_forcerange
-        self._model.actuator_forcelimited = wp.array(self._limited.any(axis=0), dtype=flags.dtype)
-        self._model.actuator_forcerange = wp.array(ranges, dtype=kept.dtype)
+        model = self._model
+        flags = self._limited.any(axis=0)
+        model.actuator_forcelimited = wp.array(flags, dtype=model.actuator_forcelimited.dtype)
+        model.actuator_forcerange = wp.array(ranges, dtype=model.actuator_forcerange.dtype)
 
 
 def measured_sizes(model: mujoco.MjModel, rows: F64) -> dict[str, int]:
@@ -464,7 +474,8 @@ def measured_sizes(model: mujoco.MjModel, rows: F64) -> dict[str, int]:
         ``nconmax`` and ``njmax`` of `WarpWorlds`, for each world.
     """
     worlds = WarpWorlds(model, 1, "cpu", _MANY, _MANY)
-    near = constraints = 0
+    near = 0
+    constraints = 0
     for row in rows:
         worlds.upload(row[None])
         worlds.positions()

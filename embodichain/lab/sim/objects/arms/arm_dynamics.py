@@ -29,10 +29,10 @@ __all__ = ["ArmDynamics", "in_axes", "matrix_product"]
 
 def matrix_product(a: Floats, b: Floats) -> Floats:
     """(r, s, n) products of matrices (r, k, n) and (k, s, n), elementwise in a fixed order."""
-    found: Floats = a[:, 0, None] * b[None, 0]
+    result: Floats = a[:, 0, None] * b[None, 0]
     for inner in range(1, a.shape[1]):
-        found = found + a[:, inner, None] * b[None, inner]
-    return found
+        result = result + a[:, inner, None] * b[None, inner]
+    return result
 
 
 class ArmDynamics:
@@ -49,13 +49,14 @@ class ArmDynamics:
     """
 
     def __init__(self, asset: Articulation, joints: Sequence[int], tool: BodyFrames | int) -> None:
-        self._asset, self._engine = asset, asset.engine
+        model = asset.engine.model
+        self._asset = asset
+        self._engine = asset.engine
         self._tool = link_frame(tool) if isinstance(tool, int) else tool
-        model, body = asset.engine.model, int(self._tool.bodies)
+        self._root = int(model.body_rootid[int(self._tool.bodies)])
         self._joints: NDArray[np.int64] = np.asarray(list(joints), np.int64)
         self._dofs: NDArray[np.int64] = asset.index.dof_adr[self._joints].astype(np.int64)
-        self._root = int(model.body_rootid[body])
-        self._entries = _entries(model, self._dofs.tolist())
+        self._entries = _find_entries(model, self._dofs.tolist())
 
     def mass_matrix(self) -> Floats:
         """(k, k, n) joint-space inertia with the joints' armature, kg m^2 (kg of slides)."""
@@ -69,8 +70,8 @@ class ArmDynamics:
         Less those that `gravcomp` of the links balances already.
         """
         bias = self._engine.derived("qfrc_bias")[:, self._dofs]
-        found = bias - self._engine.derived("qfrc_gravcomp")[:, self._dofs]
-        return contiguous(found.T)
+        bias = bias - self._engine.derived("qfrc_gravcomp")[:, self._dofs]
+        return contiguous(bias.T)
 
     def jacobian(self) -> Floats:
         """(6, k, n) velocity of the tool's origin, then its angular velocity, in world axes.
@@ -80,22 +81,31 @@ class ArmDynamics:
         engine = self._engine
         cdof = np.moveaxis(engine.derived("cdof")[:, self._dofs], 0, -1)  # (k, 6, n)
         arm = self._tool.positions(engine) - engine.derived("subtree_com")[:, self._root]
-        turn, (x, y, z) = contiguous(np.moveaxis(cdof[:, :3], 1, 0)), arm.T
-        moved = np.stack(
-            [turn[1] * z - turn[2] * y, turn[2] * x - turn[0] * z, turn[0] * y - turn[1] * x]
+        x, y, z = arm.T
+        angular = contiguous(np.moveaxis(cdof[:, :3], 1, 0))
+        angular_x, angular_y, angular_z = angular
+        # The cross product of angular velocity and arm.
+        shift = np.stack(
+            [
+                angular_y * z - angular_z * y,
+                angular_z * x - angular_x * z,
+                angular_x * y - angular_y * x,
+            ]
         )
-        return np.concatenate([np.moveaxis(cdof[:, 3:], 1, 0) + moved, turn])
+        linear = np.moveaxis(cdof[:, 3:], 1, 0) + shift
+        return np.concatenate([linear, angular])
 
     def joint_motion(self) -> tuple[Floats, Floats]:
         """Positions (k, n), rad or m, and velocities (k, n) of the joints."""
-        qpos, qvel = self._asset.read_qpos(), self._asset.read_qvel()
-        joints = self._joints
-        return contiguous(qpos[:, joints].T), contiguous(qvel[:, joints].T)
+        qpos = self._asset.read_qpos()[:, self._joints]
+        qvel = self._asset.read_qvel()[:, self._joints]
+        return contiguous(qpos.T), contiguous(qvel.T)
 
     def pose(self) -> Floats:
         """(n, 7) x, y, z, qw, qx, qy, qz of the tool."""
-        tool, engine = self._tool, self._engine
-        return np.concatenate([tool.positions(engine), tool.orientations(engine)], axis=1)
+        position = self._tool.positions(self._engine)
+        orientation = self._tool.orientations(self._engine)
+        return np.concatenate([position, orientation], axis=1)
 
     def velocity(self) -> Floats:
         """(6, n) velocity of the tool's origin, then its angular velocity, in world axes."""
@@ -109,12 +119,13 @@ def in_axes(axes: Floats, twists: Floats) -> Floats:
     return np.concatenate([matmul(back, part) for part in parts])
 
 
-def _entries(model: mujoco.MjModel, dofs: Sequence[int]) -> NDArray[np.int64]:
+def _find_entries(model: mujoco.MjModel, dofs: Sequence[int]) -> NDArray[np.int64]:
     """(k * k) places of the elements of a mass matrix in MuJoCo's sparse lower triangle `M`."""
-    found = []
+    places = []
     for pair in product(dofs, repeat=2):
-        row, column = max(pair), min(pair)
+        row = max(pair)
+        column = min(pair)
         start = int(model.M_rowadr[row])
         columns = model.M_colind[start : start + int(model.M_rownnz[row])].tolist()
-        found.append(start + columns.index(column))
-    return np.array(found, np.int64)
+        places.append(start + columns.index(column))
+    return np.array(places, np.int64)

@@ -32,6 +32,7 @@ from embodichain.utils.math import (
 )
 
 if TYPE_CHECKING:
+    import mujoco
     from numpy.typing import NDArray
 
     from embodichain.lab.sim.cfg import SolverCfg
@@ -54,20 +55,27 @@ def tool_bodies(asset: Articulation, joints: Sequence[int]) -> list[int]:
     Bodies beyond another joint are left out: a hand fixed to an arm's last link counts, its fingers
     do not.
     """
-    model, index = asset.engine.model, asset.index
-    movers = {int(model.dof_bodyid[d]) for d in index.dof_adr[list(joints)]}
-    found: list[tuple[int, int]] = []
-    for body in map(int, index.body_ids):
-        above, here, carrier = set(), body, 0
-        while here != 0:
-            above.add(here)
-            if carrier == 0 and model.body_dofnum[here]:
-                carrier = here
-            here = int(model.body_parentid[here])
-        if movers <= above and carrier in movers:
-            found.append((len(above), body))
-    deepest = max((depth for depth, _ in found), default=0)
-    return [body for depth, body in found if depth == deepest]
+    model = asset.engine.model
+    index = asset.index
+    moved_by_joints = {int(model.dof_bodyid[dof]) for dof in index.dof_adr[list(joints)]}
+    depths: dict[int, int] = {}
+    for body in index.body_ids.tolist():
+        ancestors = _ancestors(model, body)
+        with_joint = [ancestor for ancestor in ancestors if model.body_dofnum[ancestor]]
+        is_moved_by_all = moved_by_joints <= set(ancestors)
+        if is_moved_by_all and with_joint and with_joint[0] in moved_by_joints:
+            depths[body] = len(ancestors)
+    deepest = max(depths.values(), default=0)
+    return [body for body, depth in depths.items() if depth == deepest]
+
+
+def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return a body and those above it, up to the world, which is not among them."""
+    ancestors = []
+    while body != 0:
+        ancestors.append(body)
+        body = int(model.body_parentid[body])
+    return ancestors
 
 
 class Approach(NamedTuple):
@@ -124,31 +132,29 @@ class ArmSolver:
         self._columns = np.flatnonzero(np.isin(self.chain.joints, list(joints)))
         self.moving = self.chain.joints[self._columns]
         if not len(self.moving):
-            kind, model = self.chain.tool.kind, asset.engine.model
-            number = int(self.chain.tool.ids)
-            one = {"link": model.body, "site": model.site, "geom": model.geom}[kind](number)
-            message = f"none of the picked joints moves {one.name.removeprefix(f'{asset.uid}/')!r}"
-            raise ConfigError([Problem(f"{path}.{kind}_names".lstrip("."), message)])
+            tool = self.chain.tool
+            tool_name = _frame_name(asset, tool)
+            message = f"none of the picked joints moves {tool_name!r}"
+            raise ConfigError([Problem(f"{path}.{tool.kind}_names".lstrip("."), message)])
         self.names = tuple(asset.joint_names[joint] for joint in self.moving)
+        posture = _read_posture(cfg, self.names)
+        self._weights = _read_weights(cfg, self.names)
+
+        # Two ways to solve: a search for every arm, and a closed form for some.
         self._samples = cfg.num_samples
-        self._search = LeastSquares(
+        self._least_squares = LeastSquares(
             self.chain,
             self._columns,
-            cfg.pos_eps,
-            cfg.rot_eps,
-            cfg.max_iterations,
-            _posture(cfg, self.names),
+            position_tolerance=cfg.pos_eps,
+            rotation_tolerance=cfg.rot_eps,
+            max_iterations=cfg.max_iterations,
+            posture=posture,
         )
-        self._weights = np.ones(len(self.moving))
-        if cfg.ik_nearest_weight is not None:
-            if len(cfg.ik_nearest_weight) != len(self.moving):
-                message = f"needs {len(self.moving)} values, one a joint: {', '.join(self.names)}"
-                raise ConfigError([Problem("solver_cfg.ik_nearest_weight", message)])
-            self._weights = np.asarray(cfg.ik_nearest_weight, np.float64)
-        self._closed: UrArm | None = None
+        self._closed_form: UrArm | None = None
         if cfg.closed_form and len(self.moving) == 6:
             arm = UrArm(self.chain)
-            self._closed = arm if arm.fits else None
+            if arm.fits:
+                self._closed_form = arm
 
     @property
     def hinges(self) -> NDArray[np.bool_]:
@@ -158,7 +164,7 @@ class ArmSolver:
     @property
     def has_closed_form(self) -> bool:
         """Whether solutions are computed in closed form."""
-        return self._closed is not None and self.chain.is_shared
+        return self._closed_form is not None and self.chain.is_shared
 
     def frames(self, qpos: Floats, env_ids: EnvIndex | None = None) -> Frames:
         """Axes of the chain's joints and pose of the tool at joint positions (n, D)."""
@@ -180,12 +186,14 @@ class ArmSolver:
 
     def jacobian(self, qpos: Floats, env_ids: EnvIndex | None = None) -> Floats:
         """(n, 6, k) of the joints `moving`: linear velocity of the tool, then angular velocity."""
-        found = self.chain.jacobian(self.frames(qpos, env_ids))
-        turn = np.moveaxis(quat_to_matrix(self.root_pose(env_ids)[1]), 0, -1)
-        columns = [
-            np.concatenate([matmul(turn, found[:3, column]), matmul(turn, found[3:, column])])
-            for column in self._columns
-        ]
+        in_root = self.chain.jacobian(self.frames(qpos, env_ids))
+        _, root_quat = self.root_pose(env_ids)
+        turn = np.moveaxis(quat_to_matrix(root_quat), 0, -1)
+        columns = []
+        for column in self._columns:
+            linear = matmul(turn, in_root[:3, column])
+            angular = matmul(turn, in_root[3:, column])
+            columns.append(np.concatenate([linear, angular]))
         return contiguous(np.moveaxis(np.stack(columns, axis=1), -1, 0))
 
     def to_root(self, pos: Floats, quat: Floats | None, env_ids: EnvIndex | None = None) -> Target:
@@ -219,17 +227,18 @@ class ArmSolver:
         """
         target = self.to_root(pos, quat, env_ids)
         if quat is None or not self.has_closed_form:
-            return self._searched(qpos, target, env_ids, self._samples if restarts else 0)
-        solutions, exist = self._all(qpos, target, env_ids)
+            return self._search(qpos, target, env_ids, self._samples if restarts else 0)
+        solutions, exist = self._solve_closed_form(qpos, target, env_ids)
         error = pose_error(self.frames(qpos, env_ids), target)
-        there = (squared(error) < _SAME**2) & self._within_limits(qpos, env_ids)
-        found = np.where(there[:, None], qpos, solutions[0])
-        reached = there | exist[0]
-        left = np.flatnonzero(~reached)
-        if len(left):
-            ids = left if env_ids is None else env_ids[left]
-            found[left], reached[left] = self._searched(qpos[left], target.rows(left), ids, 0)
-        return found, reached
+        is_solved = (squared(error) < _SAME**2) & self._within_limits(qpos, env_ids)
+        nearest = np.where(is_solved[:, None], qpos, solutions[0])
+        reached = is_solved | exist[0]
+        # Where there is no solution, a search comes as near as it can.
+        rows = np.flatnonzero(~reached)
+        if len(rows):
+            ids = rows if env_ids is None else env_ids[rows]
+            nearest[rows], reached[rows] = self._search(qpos[rows], target.rows(rows), ids, 0)
+        return nearest, reached
 
     def solutions(
         self, qpos: Floats, pos: Floats, quat: Floats, env_ids: EnvIndex | None = None
@@ -246,8 +255,8 @@ class ArmSolver:
         """
         target = self.to_root(pos, quat, env_ids)
         if not self.has_closed_form:
-            return self._found(qpos, target, env_ids)
-        return self._all(qpos, target, env_ids)
+            return self._search_all(qpos, target, env_ids)
+        return self._solve_closed_form(qpos, target, env_ids)
 
     def approach(
         self,
@@ -273,19 +282,21 @@ class ArmSolver:
             env_ids: (n,) environments.
         """
         jacobian = self.chain.jacobian(frames)[: len(error), self._columns]
-        now = contiguous(qpos[:, self.moving].T)
+        moving_qpos = contiguous(qpos[:, self.moving].T)
         low, high = self.limits(env_ids)
-        # Joints beyond a limit come back to it.
-        lowest, highest = np.minimum(low - now, 0.0), np.maximum(high - now, 0.0)
-        lean = None if posture is None else gain * (posture[:, None] - now)
-        step = joint_step(error, jacobian, lowest, highest, lean)
-        share = np.abs(step) / largest[:, None]
-        step = step / np.maximum(share.max(axis=0), 1.0)
-        slope = clamped(transposed(jacobian, error), lowest, highest)
-        stationary = np.abs(slope).max(axis=0) < _FLAT * np.sqrt(squared(error))
-        left = error - times(jacobian, step)
-        distance = np.sqrt(squared(left[:3]))
-        angle = np.sqrt(squared(left[3:])) if len(left) > 3 else np.zeros_like(distance)
+        # Joints beyond a limit stay where they are, or come back.
+        lowest = np.minimum(low - moving_qpos, 0.0)
+        highest = np.maximum(high - moving_qpos, 0.0)
+        lean = None if posture is None else gain * (posture[:, None] - moving_qpos)
+        step = joint_step(error, jacobian, lowest, highest, posture=lean)
+        excess = np.abs(step) / largest[:, None]
+        step = step / np.maximum(excess.max(axis=0), 1.0)
+        gradient = clamped(transposed(jacobian, error), lowest, highest)
+        stationary = np.abs(gradient).max(axis=0) < _FLAT * np.sqrt(squared(error))
+        remaining = error - times(jacobian, step)
+        distance = np.sqrt(squared(remaining[:3]))
+        has_angle = len(remaining) > 3
+        angle = np.sqrt(squared(remaining[3:])) if has_angle else np.zeros_like(distance)
         return Approach(contiguous(step.T), distance, angle, stationary)
 
     def limits(self, env_ids: EnvIndex | None = None) -> tuple[Floats, Floats]:
@@ -293,46 +304,69 @@ class ArmSolver:
         low, high = self._asset.drives.limits.of(self.moving, env_ids)
         return contiguous(low.T), contiguous(high.T)
 
-    def _all(
+    def _solve_closed_form(
         self, qpos: Floats, target: Target, env_ids: EnvIndex | None
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        closed, rotation = self._closed, target.rotation
-        if closed is None or rotation is None:
+        """(8, n, D) solutions of the closed form, the nearest first; (8, n) whether they exist."""
+        if self._closed_form is None or target.rotation is None:
             raise ValueError("there is no closed form")
-        seed = self._in_chain(qpos)
-        limits = self.limits(env_ids)
-        found, exist = closed.nearest(seed, target.position, rotation, *limits, self._weights)
-        whole = np.tile(qpos, (len(found), 1, 1))
-        whole[..., self.moving] = np.moveaxis(found, 1, -1)
-        return whole, exist
+        low, high = self.limits(env_ids)
+        solutions, exist = self._closed_form.nearest(
+            seed=self._in_chain(qpos),
+            position=target.position,
+            rotation=target.rotation,
+            low=low,
+            high=high,
+            weights=self._weights,
+        )
+        return self._with_other_joints(qpos, solutions), exist
 
-    def _found(
+    def _search_all(
         self, qpos: Floats, target: Target, env_ids: EnvIndex | None
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        start, (low, high) = self._in_chain(qpos), self.limits(env_ids)
-        found, reached = self._search.solve_all(start, target, low, high, self._samples, env_ids)
-        seed, positions = start[self._columns], found[:, self._columns]
-        near, exist = ranked(positions, reached, seed, (low, high), self._weights, self.hinges)
-        near, exist = distinct(near, exist, seed)
-        whole = np.tile(qpos, (len(near), 1, 1))
-        whole[..., self.moving] = np.moveaxis(near, 1, -1)
-        return whole, exist
-
-    def _within_limits(self, qpos: Floats, env_ids: EnvIndex | None) -> NDArray[np.bool_]:
-        low, high = self.limits(env_ids)
-        now = qpos[:, self.moving].T
-        beyond = np.maximum(low - now, now - high).max(axis=0)
-        return np.asarray(beyond <= 0.0)
-
-    def _searched(
-        self, qpos: Floats, target: Target, env_ids: EnvIndex | None, restarts: int
-    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """(S, n, D) solutions of all searches, the nearest first; (S, n) whether they exist."""
         low, high = self.limits(env_ids)
         start = self._in_chain(qpos)
-        found, reached = self._search.solve(start, target, low, high, restarts, env_ids)
-        whole = qpos.copy()
-        whole[:, self.moving] = found[self._columns].T
-        return whole, reached
+        solutions, reached = self._least_squares.solve_all(
+            start, target, low, high, restarts=self._samples, env_ids=env_ids
+        )
+        seed = start[self._columns]
+        solutions, exist = ranked(
+            solutions[:, self._columns],
+            reached,
+            seed,
+            limits=(low, high),
+            weights=self._weights,
+            hinges=self.hinges,
+        )
+        solutions, exist = distinct(solutions, exist, seed)
+        return self._with_other_joints(qpos, solutions), exist
+
+    def _with_other_joints(self, qpos: Floats, solutions: Floats) -> Floats:
+        """(S, n, D) positions of all joints, of (S, k, n) positions of the moving ones."""
+        all_joints = np.tile(qpos, (len(solutions), 1, 1))
+        all_joints[..., self.moving] = np.moveaxis(solutions, 1, -1)
+        return all_joints
+
+    def _within_limits(self, qpos: Floats, env_ids: EnvIndex | None) -> NDArray[np.bool_]:
+        """(n,) whether the moving joints are within their limits."""
+        low, high = self.limits(env_ids)
+        moving_qpos = qpos[:, self.moving].T
+        excess = np.maximum(low - moving_qpos, moving_qpos - high).max(axis=0)
+        return np.asarray(excess <= 0.0)
+
+    def _search(
+        self, qpos: Floats, target: Target, env_ids: EnvIndex | None, restarts: int
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """(n, D) joint positions of the best search, and (n,) whether it reaches the target."""
+        low, high = self.limits(env_ids)
+        start = self._in_chain(qpos)
+        solution, reached = self._least_squares.solve(
+            start, target, low, high, restarts=restarts, env_ids=env_ids
+        )
+        all_joints = qpos.copy()
+        all_joints[:, self.moving] = solution[self._columns].T
+        return all_joints, reached
 
     def _in_chain(self, qpos: Floats) -> Floats:
         """(K, n) positions of the chain's joints."""
@@ -341,17 +375,39 @@ class ArmSolver:
     def root_pose(self, env_ids: EnvIndex | None = None) -> tuple[Floats, Floats]:
         """Position (n, 3) and orientation (n, 4) of the root."""
         pos, quat = self._asset.read_pose()
-        return (pos, quat) if env_ids is None else (pos[env_ids], quat[env_ids])
+        if env_ids is None:
+            return pos, quat
+        return pos[env_ids], quat[env_ids]
 
 
-def _posture(cfg: SolverCfg, names: Sequence[str]) -> Floats | None:
+def _frame_name(asset: Articulation, frame: BodyFrames) -> str:
+    """The name of a link, site or geom, as in the articulation's file."""
+    model = asset.engine.model
+    named_by_kind = {"link": model.body, "site": model.site, "geom": model.geom}
+    name: str = named_by_kind[frame.kind](int(frame.ids)).name
+    return name.removeprefix(f"{asset.uid}/")
+
+
+def _read_weights(cfg: SolverCfg, names: Sequence[str]) -> Floats:
+    """(k,) weights of the joints' squared distances."""
+    if cfg.ik_nearest_weight is None:
+        return np.ones(len(names))
+    if len(cfg.ik_nearest_weight) != len(names):
+        message = f"needs {len(names)} values, one a joint: {', '.join(names)}"
+        raise ConfigError([Problem("solver_cfg.ik_nearest_weight", message)])
+    return np.asarray(cfg.ik_nearest_weight, np.float64)
+
+
+def _read_posture(cfg: SolverCfg, names: Sequence[str]) -> Floats | None:
     """(k,) positions, NaN for joints without a preference; None without any."""
     if not cfg.posture:
         return None
-    found = np.full(len(names), np.nan)
+    posture = np.full(len(names), np.nan)
     for pattern, position in cfg.posture.items():
-        hits, problems = match(pattern, names, "joint of the arm", "solver_cfg.posture")
+        matching_joints, problems = match(
+            pattern, names, "joint of the arm", path="solver_cfg.posture"
+        )
         if problems:
             raise ConfigError(problems)
-        found[hits] = position
-    return found
+        posture[matching_joints] = position
+    return posture

@@ -60,14 +60,21 @@ class Impedance:
         posture: Floats,
         pull: float,
     ) -> None:
-        self._dynamics, self._most, self._decouples = dynamics, most, decoupling
+        self._dynamics = dynamics
+        self._most = most
+        self._decouples = decoupling
+
+        # The spring and the damper of the tool.
+        root = np.sqrt(stiffness[:, None])
         self._stiffness: Floats = stiffness[:, None]
-        root = np.sqrt(self._stiffness)
         self._root: Floats = root
         self._damping: Floats = 2.0 * ratio[:, None] * root
         self._weight: Floats = np.sqrt(ratio)[:, None] * root
+
+        # Those of the posture.
         self._posture: Floats = posture[:, None]
-        self._pull, self._brake = pull, 2.0 * np.sqrt(pull)
+        self._pull = pull
+        self._brake = 2.0 * np.sqrt(pull)
 
     def error(self, pos: Floats, quat: Floats | None) -> Floats:
         """(6, N) from the tool to poses (N, 3), (N, 4), world axes; (3, N) without orientation.
@@ -88,38 +95,47 @@ class Impedance:
             error: (6 or 3, N) from `error`.
             axes: (N, 4) orientation of the axes of stiffness, wxyz; None is the world's axes.
         """
-        size, dynamics, most = len(error), self._dynamics, self._most
-        parts = zip(error.reshape(-1, 3, error.shape[-1]), most, strict=False)
+        size = len(error)
+        # Of position, and of rotation where it has one.
+        parts = zip(error.reshape(-1, 3, error.shape[-1]), self._most, strict=False)
         error = np.concatenate([_shortened(part, length) for part, length in parts])
-        jacobian, velocity = dynamics.jacobian()[:size], dynamics.velocity()[:size]
+        jacobian = self._dynamics.jacobian()[:size]
+        velocity = self._dynamics.velocity()[:size]
         if axes is not None:
-            jacobian, velocity, error = (in_axes(axes, v) for v in (jacobian, velocity, error))
-        mass = dynamics.mass_matrix()
+            jacobian = in_axes(axes, jacobian)
+            velocity = in_axes(axes, velocity)
+            error = in_axes(axes, error)
+        mass = self._dynamics.mass_matrix()
         mobility = matrix_product(jacobian, _solved(mass, np.swapaxes(jacobian, 0, 1)))
         mobility[np.arange(size), np.arange(size)] += _LEAST_MOBILITY
+
         lean = self._lean() if self._pull else None
         force = self._stiffness * error
         if self._decouples:
-            wanted = force - self._damping * velocity
-            force = _solved(mobility, wanted if lean is None else wanted - times(jacobian, lean))
+            acceleration = force - self._damping * velocity
+            if lean is not None:
+                acceleration = acceleration - times(jacobian, lean)
+            force = _solved(mobility, acceleration)
         else:
-            force = force - self._damped(mobility, velocity)
+            force = force - self._damping_force(mobility, velocity)
             if lean is not None:
                 force = force - _solved(mobility, times(jacobian, lean))
-        effort = dynamics.bias() + transposed(jacobian, force)
-        return effort if lean is None else effort + times(mass, lean)
+        effort = self._dynamics.bias() + transposed(jacobian, force)
+        if lean is not None:
+            effort = effort + times(mass, lean)
+        return effort
 
-    def _damped(self, mobility: Floats, velocity: Floats) -> Floats:
+    def _damping_force(self, mobility: Floats, velocity: Floats) -> Floats:
         """(r, N) forces of the damper without decoupling."""
         scaled = np.moveaxis(self._root[:, None] * mobility * self._root[None], -1, 0)
         # eigh raises for NaN, which the velocity of an environment that diverged has as well.
-        finite = np.isfinite(scaled).all(axis=(1, 2), keepdims=True)
-        squares, modes = np.linalg.eigh(np.where(finite, scaled, 0.0))
-        moves = squares > 1e-12 * squares[:, -1:]  # the others are axes without stiffness
-        rate = np.where(moves, 1.0 / np.sqrt(np.where(moves, squares, 1.0)), 0.0)
+        is_finite = np.isfinite(scaled).all(axis=(1, 2), keepdims=True)
+        squares, modes = np.linalg.eigh(np.where(is_finite, scaled, 0.0))
+        is_stiff = squares > 1e-12 * squares[:, -1:]  # the others are axes without stiffness
+        rate = np.where(is_stiff, 1.0 / np.sqrt(np.where(is_stiff, squares, 1.0)), 0.0)
         modes = contiguous(np.moveaxis(modes, 0, -1))
-        found = transposed(modes, self._weight * velocity) * contiguous(rate.T)
-        return 2.0 * self._weight * times(modes, found)
+        in_modes = transposed(modes, self._weight * velocity) * contiguous(rate.T)
+        return 2.0 * self._weight * times(modes, in_modes)
 
     def _lean(self) -> Floats:
         """(k, N) accelerations towards the posture."""
@@ -138,5 +154,5 @@ def _solved(matrix: Floats, right: Floats) -> Floats:
     if not is_host(matrix):
         system = np.concatenate([precise(matrix), precise(vectors)], axis=1)
         return eliminated(system).reshape(right.shape)
-    found = np.linalg.solve(np.moveaxis(matrix, -1, 0), np.moveaxis(vectors, -1, 0))
-    return contiguous(np.moveaxis(found, 0, -1)).reshape(right.shape)
+    solution = np.linalg.solve(np.moveaxis(matrix, -1, 0), np.moveaxis(vectors, -1, 0))
+    return contiguous(np.moveaxis(solution, 0, -1)).reshape(right.shape)

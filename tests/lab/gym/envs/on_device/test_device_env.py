@@ -121,7 +121,9 @@ REFUSED = {
 
 @pytest.mark.parametrize("message", REFUSED)
 def test_what_needs_the_host_is_refused(env, message):
-    with pytest.raises(ConfigError, match=rf"{message} have no form .* sim\.warp\.arrays=host"):
+    with pytest.raises(
+        ConfigError, match=rf"{message} are not available .* sim\.warp\.arrays=host"
+    ):
         REFUSED[message](env)
 
 

@@ -135,7 +135,9 @@ def env():
 
 
 def test_what_needs_the_device_is_refused(env):
-    with pytest.raises(ConfigError, match="observers that may not be called late have no form"):
+    with pytest.raises(
+        ConfigError, match="observers that may not be called late are not available"
+    ):
         env.add_observer(StepObserver())
     assert env.copies is None
     engine = env.observed.sim.engine

@@ -236,7 +236,9 @@ def test_a_simulation_on_the_host(both):
 
 def test_what_is_refused(both):
     engine = both[1]
-    with pytest.raises(HostTransferError, match="physics steps of some environments have no form"):
+    with pytest.raises(
+        HostTransferError, match="physics steps of some environments are not available"
+    ):
         engine.step(1, mask(0))
     with pytest.raises(HostTransferError, match="array of the device was made one of the host"):
         np.asarray(engine.state("qpos"))
