@@ -54,8 +54,7 @@ def load_verb(name: str) -> Verb:
     """Import the module of a verb, one of `VERBS`, and return its command."""
     folder = next(folder for folder, verbs in FOLDERS.items() if name in verbs)
     module = importlib.import_module(f"embodichain.cli.verbs.{folder}.{name.replace('-', '_')}")
-    command: Verb = module.command
-    return command
+    return module.command
 
 
 class _Verbs(click.Group):
@@ -91,9 +90,8 @@ def _version(ctx: click.Context, parameter: click.Parameter, value: bool) -> Non
 
     import embodichain
 
-    python = platform.python_version()
-    own = f"embodichain {embodichain.__version__}"
-    click.echo(f"{own} (Python {python}, MuJoCo {version('mujoco')})")
+    libraries = f"Python {platform.python_version()}, MuJoCo {version('mujoco')}"
+    click.echo(f"embodichain {embodichain.__version__} ({libraries})")
     ctx.exit()
 
 
@@ -185,12 +183,7 @@ def call(arguments: list[str]) -> int:
         The exit code.
     """
     first = arguments[0] if arguments else "help"
-    key, _, value = first.removeprefix("--").replace("-", "_").partition("=")
-    if first.startswith("--") and key in ROOT_KEYS:
-        value = value or next((word for word in arguments[1:2] if "=" not in word), "VALUE")
-        raise ConfigError(f"a verb comes first: embodichain run {key}={value}, without dashes")
-    if "=" in first or first in ("-m", "--multirun"):
-        raise ConfigError(f"a verb comes first: embodichain run {' '.join(arguments)}")
+    _check_verb_first(first, arguments)
     words = ["--help"] if first == "help" else list(arguments)
     line = ["embodichain", *arguments]
     try:
@@ -205,55 +198,84 @@ def call(arguments: list[str]) -> int:
     except click.exceptions.Exit as end:
         return end.exit_code
     except click.exceptions.NoSuchCommand as error:
-        hint = _of_task(error.command_name) or did_you_mean(error.command_name, VERBS)
+        hint = _task_hint(error.command_name) or did_you_mean(error.command_name, VERBS)
         verbs = ", ".join(VERBS)
         message = f"no such verb: '{error.command_name}'.{hint} There are: {verbs}."
         raise ConfigError(message) from error
     except click.NoSuchOption as error:
-        raise ConfigError(_instead_of_flag(error, arguments)) from error
+        raise ConfigError(_option_message(error, arguments)) from error
     except click.UsageError as error:
-        program = error.ctx.command_path if error.ctx is not None else "embodichain"
-        message = f"{error.format_message()}{_without_keys(error, arguments)}"
-        raise ConfigError(f"{message}\nTry '{program} --help'.") from error
+        message = f"{error.format_message()}{_keys_hint(error, arguments)}"
+        raise ConfigError(f"{message}\nTry '{_program(error)} --help'.") from error
 
 
-def _of_task(name: str) -> str:
-    """What to type instead, if a word in place of the verb is the name of a task."""
+def _check_verb_first(first: str, arguments: list[str]) -> None:
+    """Refuse a command line that begins with a key, with or without dashes."""
+    key, _, value = first.removeprefix("--").replace("-", "_").partition("=")
+    if first.startswith("--") and key in ROOT_KEYS:
+        if not value and len(arguments) > 1 and "=" not in arguments[1]:
+            value = arguments[1]
+        assignment = f"{key}={value or 'VALUE'}"
+        raise ConfigError(f"a verb comes first: embodichain run {assignment}, without dashes")
+    if "=" in first or first in ("-m", "--multirun"):
+        raise ConfigError(f"a verb comes first: embodichain run {' '.join(arguments)}")
+
+
+def _program(error: click.UsageError) -> str:
+    """The command that refused its arguments: ``embodichain run``."""
+    return error.ctx.command_path if error.ctx is not None else "embodichain"
+
+
+def _verb_of(error: click.UsageError) -> Verb | None:
+    """The verb that refused its arguments; None if it was the command itself."""
+    command = error.ctx.command if error.ctx is not None else None
+    return command if isinstance(command, Verb) else None
+
+
+def _task_hint(name: str) -> str:
+    """A command to type instead, if a word in place of the verb is the name of a task."""
     from embodichain.config import list_options  # Hydra: only when needed
 
-    return f" To run the task: embodichain run task={name}." if name in list_options("task") else ""
+    if name not in list_options("task"):
+        return ""
+    return f" To run the task: embodichain run task={name}."
 
 
-def _without_keys(error: click.UsageError, arguments: list[str]) -> str:
-    """That a verb takes no overrides, if some were typed; else empty."""
-    command = error.ctx.command if error.ctx is not None else None
-    typed = [word for word in arguments[1:] if "=" in word and not word.startswith("-")]
-    if not isinstance(command, Verb) or command.keys or not typed:
+def _keys_hint(error: click.UsageError, arguments: list[str]) -> str:
+    """A note that a verb takes no overrides, if some were typed; else empty."""
+    command = _verb_of(error)
+    overrides = [word for word in arguments[1:] if "=" in word and not word.startswith("-")]
+    if command is None or command.keys or not overrides:
         return ""
     return f": `{command.name}` reads no KEY=VALUE"
 
 
-def _instead_of_flag(error: click.NoSuchOption, arguments: list[str]) -> str:
+def _option_message(error: click.NoSuchOption, arguments: list[str]) -> str:
     """The message about an unknown option; for ``--num_envs 4`` it says to type ``num_envs=4``."""
-    program = error.ctx.command_path if error.ctx is not None else "embodichain"
-    message = f"{error.format_message()}\nTry '{program} --help'."
-    command = error.ctx.command if error.ctx is not None else None
-    if not (isinstance(command, Verb) and command.keys):
+    message = f"{error.format_message()}\nTry '{_program(error)} --help'."
+    command = _verb_of(error)
+    if command is None or not command.keys:
         return message
     if not error.option_name.startswith("--"):
         return f"{message} Values are given as key=value, without dashes."
-    typed = error.option_name.removeprefix("--")
-    key = typed.replace("-", "_")
+    name = error.option_name.removeprefix("--")
+    key = name.replace("-", "_")
     if key not in ROOT_KEYS and "." not in key:
         return message
-    place = next(i for i, word in enumerate(arguments) if word.partition("=")[0] == f"--{typed}")
-    value = arguments[place].partition("=")[2]
-    after = arguments[place + 1 : place + 2]
-    if not value and after and "=" not in after[0] and not after[0].startswith("-"):
-        value = after[0]
-    return f"there is no option --{typed}: write {key}={value or _example(key)}, without dashes"
+    value = _value_of_option(error.option_name, arguments) or _example(key)
+    return f"there is no option --{name}: write {key}={value}, without dashes"
+
+
+def _value_of_option(option: str, arguments: list[str]) -> str:
+    """The value of ``--option=value`` or ``--option value``; empty if none was typed."""
+    words = iter(arguments)
+    value = next(word.partition("=")[2] for word in words if word.partition("=")[0] == option)
+    following = next(words, "-")
+    if not value and "=" not in following and not following.startswith("-"):
+        value = following
+    return value
 
 
 def _example(key: str) -> str:
-    """What to write for a key whose value was not typed: flags of other tools have none."""
+    """A value to show for a key whose value was not typed: flags of other tools have none."""
     return "NAME" if key in ("task", "policy", "device") else "VALUE"

@@ -48,52 +48,59 @@ def split_overrides(words: tuple[str, ...]) -> list[str]:
     """
     _check_quotes(words)
     if "=" in words:
-        at = words.index("=")
-        typed = "".join(words[max(at - 1, 0) : at + 2])
-        raise ConfigError(f"write {typed}, without blanks around =")
-    bare = [word for word in words if "=" not in word and not word.startswith("~")]
-    _check_blanks(words, bare)
-    if len(bare) > 1:
-        raise ConfigError(f"one task at a time: {', '.join(bare)}. Values are given as key=value")
-    tasks = [f"task={word}" for word in bare]
-    return tasks + [word for word in words if word not in bare]
+        index = words.index("=")
+        assignment = "".join(words[max(index - 1, 0) : index + 2])
+        raise ConfigError(f"write {assignment}, without blanks around =")
+    tasks = [word for word in words if "=" not in word and not word.startswith("~")]
+    _check_blanks(words, tasks)
+    if len(tasks) > 1:
+        raise ConfigError(f"one task at a time: {', '.join(tasks)}. Values are given as key=value")
+    overrides = [word for word in words if word not in tasks]
+    return [*(f"task={task}" for task in tasks), *overrides]
 
 
-def _check_blanks(words: tuple[str, ...], bare: list[str]) -> None:
+def _check_blanks(words: tuple[str, ...], bare_words: list[str]) -> None:
     """Refuse ``task reach``, ``task: reach``, ``task= reach`` and ``task =reach``, by the form."""
     for word, value in itertools.pairwise(words):
         key = word.rstrip("=:")
-        split = word.endswith("=") or (word in bare and key in ROOT_KEYS)
-        if value.startswith("=") or (split and value in bare):
-            whole = f"{key}={value.lstrip('=')}"
-            if _open_brackets(whole):
-                following = words[words.index(value) + 1 :]
-                whole = _quoted(" ".join([whole, *following]))
-            raise ConfigError(f"write {whole}, without a blank after the key")
+        is_key = word.endswith("=") or (word in bare_words and key in ROOT_KEYS)
+        is_split = value.startswith("=") or (is_key and value in bare_words)
+        if not is_split:
+            continue
+        assignment = f"{key}={value.lstrip('=')}"
+        if _has_open_brackets(assignment):
+            following = words[words.index(value) + 1 :]
+            assignment = _quoted(" ".join([assignment, *following]))
+        raise ConfigError(f"write {assignment}, without a blank after the key")
 
 
 def _check_quotes(words: tuple[str, ...]) -> None:
     """Refuse ``KEY={func: NAME}`` without quotes, of which a shell makes two words."""
     for i, word in enumerate(words):
-        if "=" not in word or not _open_brackets(word):
+        if "=" not in word or not _has_open_brackets(word):
             continue
-        whole = word
+        assignment = word
         for following in words[i + 1 :]:
-            whole += f" {following}"
-            if not _open_brackets(whole):
-                key = word.lstrip("+").partition("=")[0]
-                new = "" if word.startswith("+") else f"; a new entry is +{key}=..."
-                raise ConfigError(f"put quotes around it for your shell: {_quoted(whole)}{new}")
+            assignment += f" {following}"
+            if _has_open_brackets(assignment):
+                continue
+            message = f"put quotes around it for your shell: {_quoted(assignment)}"
+            if not word.startswith("+"):
+                key = word.partition("=")[0]
+                message += f"; a new entry is +{key}=..."
+            raise ConfigError(message)
         raise ConfigError(f"{word!r} has a bracket without its other one")
 
 
 def _quoted(word: str) -> str:
     """Return a word in quotes for a shell, double ones if it has single ones."""
-    double = "'" in word and not set(word) & set('"$`\\')
-    return f'"{word}"' if double else shlex.quote(word)
+    has_special_signs = bool(set(word) & set('"$`\\'))
+    if "'" in word and not has_special_signs:
+        return f'"{word}"'
+    return shlex.quote(word)
 
 
-def _open_brackets(text: str) -> bool:
+def _has_open_brackets(text: str) -> bool:
     """Whether brackets or quotes of a text are open at its end."""
     closing = {"{": "}", "[": "]", "(": ")"}
     still_open: list[str] = []
@@ -105,7 +112,8 @@ def _open_brackets(text: str) -> bool:
         elif sign == "\\":
             escaped = True
         elif quote:
-            quote = "" if sign == quote else quote
+            if sign == quote:
+                quote = ""
         elif sign in "'\"":
             quote = sign
         elif sign in closing:

@@ -11,6 +11,8 @@ from embodichain.cli.verb import VERBS
 from embodichain.cli.words import EVERYDAY_KEYS
 from embodichain.config.keys.schema import RootCfg
 
+KINDS = "{tasks|robots|policies|terms|formats|viewers|learners|steps}"
+
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"], ["help"]])
 def test_overview_names_every_verb(
@@ -81,10 +83,13 @@ def test_keys_that_help_names_exist() -> None:
         ),
         (["run", "reach", "task.x={a: b"], "'task.x={a: b' has a bracket without its other one"),
         (["list", "tasks", "--jsn"], "No such option '--jsn'. Did you mean '--json'?"),
-        (["list"], "Missing argument '{tasks|robots|policies|terms|formats|viewers|learners|steps}'. Choose from:"),
+        (
+            ["list"],
+            f"Missing argument '{KINDS}'. Choose from:",
+        ),
         (
             ["list", "task"],
-            "Invalid value for '{tasks|robots|policies|terms|formats|viewers|learners|steps}': 'task' is not one of 'tasks', ",
+            f"Invalid value for '{KINDS}': 'task' is not one of 'tasks', ",
         ),
         (["list", "tasks", "robots"], "Got unexpected extra argument (robots)"),
         (["run", "one", "two"], "one task at a time: one, two."),

@@ -141,8 +141,8 @@ class Job:
         from embodichain.recording import McapRecorder, RecordOptions
         from embodichain.recording.write.kept import kept_in_model
 
-        one: BaseEnv = getattr(env, "template", env)  # of a batch in shards
-        for sentence in kept_in_model(self.resolved.tree, one.sim.engine.model):
+        local_env: BaseEnv = getattr(env, "template", env)  # a batch in shards has no model here
+        for sentence in kept_in_model(self.resolved.tree, local_env.sim.engine.model):
             _log.warning("%s", sentence)
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
@@ -212,10 +212,10 @@ class Job:
         )
         if shown is None:
             return None
-        what = f" ({shown.how})" if shown.how else ""
-        _log.info("viewer: %s%s", shown.address, what)  # a log has no token
+        how = f" ({shown.how})" if shown.how else ""
+        _log.info("viewer: %s%s", shown.address, how)  # a log has no token
         if not self.quiet or shown.url != shown.address:  # a token not printed opens nothing
-            sys.stderr.write(f"viewer: {shown.url}{what}\n")
+            sys.stderr.write(f"viewer: {shown.url}{how}\n")
         warn_if_public(cfg.host, shown.url, controls=viewer.controls)
         return shown.page
 
@@ -282,32 +282,27 @@ def start(verb: Verb, body: Body, options: JobOptions) -> None:
         from embodichain.config.composition.gym_config import override_of
 
         overrides.append(override_of(options.gym_config))
-    line = command_line()
+    run_job = partial(execute, body=body, command=command_line(), verb=verb)
 
-    def check(lines: Sequence[str]) -> Resolved:
+    def check(job_overrides: Sequence[str]) -> Resolved:
         """Check a job of Hydra's, which is resolved and compiled again where it runs."""
-        resolved = resolve_job(compose(lines, verb), verb)
+        resolved = resolve_job(compose(job_overrides, verb), verb)
         compile_scene_of(resolved)
         return resolved
 
-    def do(
-        resolved: Resolved,
-        folder: Path | None = None,
-        goes_on: bool = False,
-        take_back: Callable[[], None] | None = None,
-    ) -> float | None:
-        return execute(
-            resolved, body, line, folder, verb=verb, goes_on=goes_on, take_back=take_back
-        )
-
-    hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
-    prints = options.cfg is not None or options.info is not None
-    if prints or options.multirun or hydras:
+    if _needs_hydra(options, overrides):
         from embodichain.cli.sweeps.sweeping import call_hydra
 
-        call_hydra(verb, check, do, options, overrides)
+        call_hydra(verb, check, run_job, options, overrides=overrides)
     else:
-        do(resolve_job(compose(overrides, verb), verb))
+        run_job(resolve_job(compose(overrides, verb), verb))
+
+
+def _needs_hydra(options: JobOptions, overrides: Sequence[str]) -> bool:
+    """Whether Hydra's own `main` is called: for sweeps, for its output, for keys of its own."""
+    if options.multirun or options.cfg is not None or options.info is not None:
+        return True
+    return any(override.lstrip("+~").startswith(("hydra.", "hydra/")) for override in overrides)
 
 
 def output_overrides(options: OverrideOptions) -> list[str]:
@@ -315,14 +310,14 @@ def output_overrides(options: OverrideOptions) -> list[str]:
 
     The workers of a sweep receive overrides only.
     """
-    lines = []
+    overrides = []
     if options.quiet:
-        lines.append("quiet=true")
+        overrides.append("quiet=true")
     if options.json:
-        lines.append("json=true")
+        overrides.append("json=true")
     if "--traceback" in command_line():
-        lines.append("traceback=true")
-    return lines
+        overrides.append("traceback=true")
+    return overrides
 
 
 def check_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:
@@ -396,16 +391,17 @@ def execute(
     root = resolved.root.output_dir
     if folder is None:
         try:
-            before, made = latest_of(root), missing_folders(root)
+            latest_before = latest_of(root)
+            new_folders = missing_folders(root)
         except OSError as error:  # a name that is too long
             message = f"output_dir: cannot make a run folder in {root}: {error}"
             raise ConfigError(message) from error
         folder = claim(root, resolved.task_name)
-        take_back = partial(abandon, folder, root, before, made)
-    job = Job(resolved, compiled_scene, folder, StopFlag())
+        take_back = partial(abandon, folder, root, latest_before, new_folders)
+    job = Job(resolved, compiled_scene, folder, stop=StopFlag())
     try:
         return _execute(job, body, command, goes_on=goes_on)
-    except (ConfigError, RenderError):  # the input is wrong: code 2, nothing was started
+    except (ConfigError, RenderError):  # the input is wrong: exit code 2, nothing was started
         if not job.began.is_set() and take_back is not None:
             take_back()
         raise
@@ -480,29 +476,34 @@ def _shows_pictures(viewer: str) -> bool:
 
 
 def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
-    """The checks of what a job needs besides the plain package; each raises what is missing."""
-    logged = root.record.format != "none"
+    """Checks of packages and programs that the plain package lacks; each raises what is missing."""
+    has_log = root.record.format != "none"
     if sys.platform in LIMITED:
-        features = [*["record=mcap"] * logged, f"viewer={root.viewer.name}"]
+        features = [f"viewer={root.viewer.name}"]
+        if has_log:
+            features.append("record=mcap")
         yield partial(platforms.need, *features)
-    if root.viewer.name in VIEWERS.entry_names():  # whose module may not work
+    if root.viewer.name in VIEWERS.entry_names():  # its module may not work
         yield partial(VIEWERS.__getitem__, root.viewer.name)
     images = root.record.images
-    if images is not None and not logged and not _shows_pictures(root.viewer.name):
-        images = None
-    drawn = ["video"] * bool(root.video) + ["record.images"] * (images is not None)
+    if not has_log and not _shows_pictures(root.viewer.name):
+        images = None  # nobody would get them
+    keys_that_draw = []
     if root.video:
         from embodichain.utils.system.video import need_encoder
 
+        keys_that_draw.append("video")
         yield partial(need_encoder, f".{getattr(root.video, 'format', 'mp4')}")
-    if images is not None and images.format == "h264":
-        from embodichain.recording.views.encoders import need_h264
+    if images is not None:
+        keys_that_draw.append("record.images")
+        if images.format == "h264":
+            from embodichain.recording.views.encoders import need_h264
 
-        yield need_h264
-    if drawn or "EMBODICHAIN_RENDERER" in os.environ:
+            yield need_h264
+    if keys_that_draw or "EMBODICHAIN_RENDERER" in os.environ:
         from embodichain.lab.sim.drawing.offscreen import need_colors
 
-        yield partial(need_colors, *drawn)
+        yield partial(need_colors, *keys_that_draw)
 
 
 def policy_name(root: RootCfg) -> str:
@@ -547,19 +548,23 @@ def policy_of(
 
 def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
     """Return a callback that shows how many pictures are made, and how long the rest takes."""
-    begun = 0.0
-    shown = False
+    start = 0.0
+    was_shown = False
 
     def show(filmed: Filmed) -> None:
-        nonlocal begun, shown
+        nonlocal start, was_shown
         now = time.perf_counter()
         if filmed.pictures == 1:  # the first one takes longer: OpenGL starts
-            begun = now
-        elif display.due or not (shown or now - begun < _SAY_AFTER):
-            shown = True
+            start = now
+            return
+        is_first_notice = not was_shown and now - start >= _SAY_AFTER
+        if display.due or is_first_notice:
+            was_shown = True
             display.total = filmed.total
-            left = (now - begun) / (filmed.pictures - 1) * (filmed.total - filmed.pictures)
-            display.show(filmed.pictures, {"step": f"{filmed.step}", "left": f"{left:.0f} s"})
+            seconds_each = (now - start) / (filmed.pictures - 1)
+            seconds_left = seconds_each * (filmed.total - filmed.pictures)
+            facts = {"step": f"{filmed.step}", "left": f"{seconds_left:.0f} s"}
+            display.show(filmed.pictures, facts)
 
     return show
 

@@ -19,13 +19,15 @@ if TYPE_CHECKING:
 __all__ = ["bent_home", "lowest_point"]
 
 _BENDS = (0.4, 0.8, 1.2)
-"""rad: how far joints are bent from the first pose."""
+"""How far joints are bent from the first pose, rad."""
 _MOST_JOINTS = 6
-"""Of the chain to the tool: more are not bent, 3 ** 6 poses are enough."""
-_TRIED = 8
+"""Joints of the chain to the tool that are bent: 3 ** 6 poses are enough."""
+_MOST_TRIALS = 8
 """Poses of each bend whose reach is computed, the most movable first."""
 _MARGIN = 0.05
-"""Of a joint's range, at both ends."""
+"""Share of a joint's range that is left free at both ends."""
+_LOWER = 1e-3
+"""How much lower than at first a robot may hang, m."""
 
 
 def bent_home(reach: ToolReach, hinges: NDArray[np.bool_], enough: float) -> NDArray[np.float64]:
@@ -42,24 +44,28 @@ def bent_home(reach: ToolReach, hinges: NDArray[np.bool_], enough: float) -> NDA
         (K,) joint positions, rad or m: of the largest cube if none is large enough.
     """
     start = reach.home
-    touching, lowest = _touching(reach, start), lowest_point(reach.model, reach.data)
-    best, best_radius = start, reach.radius(start, enough)
+    first_contacts = _contacts(reach, start)
+    first_lowest = lowest_point(reach.model, reach.data)
+    best_pose = start
+    best_radius = reach.radius(start, enough)
     bendable = _chain(reach, hinges)
     for bend in _BENDS:
-        poses = _poses(reach, bendable, bend)
+        poses = _bent_poses(reach, bendable, bend)
         poses.sort(key=lambda pose: (-_movability(reach, pose), np.abs(pose - start).sum()))
-        tried = 0
+        trials = 0
         for pose in poses:
-            if tried == _TRIED or best_radius >= enough:
+            if trials == _MOST_TRIALS or best_radius >= enough:
                 break
-            touches = _touching(reach, pose) - touching
-            if touches or lowest_point(reach.model, reach.data) < lowest - 1e-3:
+            new_contacts = _contacts(reach, pose) - first_contacts
+            hangs_lower = lowest_point(reach.model, reach.data) < first_lowest - _LOWER
+            if new_contacts or hangs_lower:
                 continue
-            tried += 1
+            trials += 1
             radius = reach.radius(pose, enough)
             if radius > best_radius:
-                best, best_radius = pose, radius
-    return best
+                best_pose = pose
+                best_radius = radius
+    return best_pose
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData) -> float:
@@ -68,8 +74,8 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
     heights = []
     for i, kind in enumerate(model.geom_type):
-        fixed = model.body_treeid[model.geom_bodyid[i]] < 0  # to the world
-        if fixed or kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        is_fixed = model.body_treeid[model.geom_bodyid[i]] < 0  # to the world
+        if is_fixed or kind == mujoco.mjtGeom.mjGEOM_PLANE:
             continue
         upwards = data.geom_xmat[i].reshape(3, 3)[2]
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
@@ -78,32 +84,32 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData) -> float:
             vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]]
             low = (vertices @ upwards).min()
         else:
-            middle, half = np.split(model.geom_aabb[i], 2)
-            low = upwards @ middle - np.abs(upwards) @ half
+            middle, half_size = np.split(model.geom_aabb[i], 2)
+            low = upwards @ middle - np.abs(upwards) @ half_size
         heights.append(float(data.geom_xpos[i, 2] + low))
     return min(heights, default=0.0)
 
 
 def _chain(reach: ToolReach, hinges: NDArray[np.bool_]) -> list[int]:
     """Hinges that move the tool, without the first: it turns the whole arm."""
-    moves = np.zeros(len(hinges), bool)
+    moves_tool = np.zeros(len(hinges), bool)
     for bend in (0.0, 0.3):  # a joint whose axis goes through the tool is seen when others bend
         reach.place(np.clip(reach.home + bend, reach.low, reach.high))
-        moves |= np.linalg.norm(reach.jacobian(), axis=0) > 1e-6
-    chain = np.flatnonzero(moves & hinges)
+        moves_tool |= np.linalg.norm(reach.jacobian(), axis=0) > 1e-6
+    chain = np.flatnonzero(moves_tool & hinges)
     return [int(i) for i in chain[1 : 1 + _MOST_JOINTS]]
 
 
-def _poses(reach: ToolReach, joints: list[int], bend: float) -> list[NDArray[np.float64]]:
-    """Each joint as it is, or bent to one side: those inside of the joints' ranges."""
+def _bent_poses(reach: ToolReach, joints: list[int], bend: float) -> list[NDArray[np.float64]]:
+    """Poses inside of the joints' ranges in which each joint is straight or bent to one side."""
     span = reach.high - reach.low
     margin = _MARGIN * np.where(np.isfinite(span), span, 0.0)
     poses = []
     for signs in itertools.product((0.0, -1.0, 1.0), repeat=len(joints)):
         pose = reach.home.copy()
         pose[joints] += bend * np.array(signs)
-        inside = (pose >= reach.low + margin) & (pose <= reach.high - margin)
-        if inside[joints].all():
+        is_inside = (pose >= reach.low + margin) & (pose <= reach.high - margin)
+        if is_inside[joints].all():
             poses.append(pose)
     return poses
 
@@ -115,8 +121,8 @@ def _movability(reach: ToolReach, pose: NDArray[np.float64]) -> float:
     return round(float(velocities.min(initial=np.inf)), 2)
 
 
-def _touching(reach: ToolReach, pose: NDArray[np.float64]) -> set[tuple[int, int]]:
-    """Pairs of geoms in contact; `reach.data` is left at the pose."""
+def _contacts(reach: ToolReach, pose: NDArray[np.float64]) -> set[tuple[int, int]]:
+    """Pairs of geoms in contact at a pose; `reach.data` is left there."""
     import mujoco
 
     reach.place(pose)

@@ -7,11 +7,12 @@ import math
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from embodichain.cli.new_task.new_home import bent_home, lowest_point
-from embodichain.cli.new_task.new_reach import ToolReach
+from embodichain.cli.new_task.new_reach import ToolFrame, ToolReach
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["UR10", "describe_robot"]
 
-_TAKEN = ("marker", "pedestal", "default_plane")
+_RESERVED_UIDS = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
 scene:                             # for pictures only: the base is inside, so it does not collide
   pedestal: {{size: [0.2, 0.2, {height}], pos: [0, 0, 0], collision: false}}
@@ -51,83 +52,91 @@ actions:                           # controls of its actuators
     params:
       of: {{uid: {uid}}}
 """
-_ENOUGH = 0.6
-"""Of the wanted radius: an arm that reaches less of it from its zero pose is bent."""
-_KEY = 1000
+_SUFFICIENT_REACH = 0.6
+"""Share of the marker's radius: an arm that reaches less from its zero pose is bent."""
+_LONGEST_KEY = 1000
 """Characters of a key in a flow mapping; YAML 1.2, section 7.4.2, allows 1024 with its quotes."""
 _CLIP = "      clip: [-1, 1]\n"
-_TOOLS = ("tcp", "tool", "end_effector", "eef", "ee", "grasp", "grip", "pinch", "attachment")
+_TOOL_WORDS = ("tcp", "tool", "end_effector", "eef", "ee", "grasp", "grip", "pinch", "attachment")
 """How sites and links are called at which tools are, or are fixed: the first is preferred."""
-_TOOL = re.compile(
-    rf"(?:^|[/_])({'|'.join(_TOOLS)})(?:per)?0?(?:_site|_frame|_point|_center|_link)*$",
+_TOOL_NAME = re.compile(
+    rf"(?:^|[/_])({'|'.join(_TOOL_WORDS)})(?:per)?0?(?:_site|_frame|_point|_center|_link)*$",
     re.IGNORECASE,
 )
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
 
 
-def _words(
-    uid: str,
-    fpath: str,
-    height: float,
-    home: Sequence[float],
-    tool: tuple[str, str],
-    marker: Sequence[float],
-    radius: float,
-    scale: float | Mapping[str, float],
-    *,
-    axes: Sequence[float] = (1.0, 1.0, 1.0),
-    floating: bool = False,
-    limited: bool = True,
-    bare: bool = False,
-) -> dict[str, str]:
-    """The template variables.
+@dataclass(frozen=True, kw_only=True)
+class _NewRobot:
+    """What the templates of a task need to know about its robot.
 
-    Args:
+    Attributes:
         uid: The robot's name in the scene.
         fpath: The robot's file, as `get_data_path` takes it.
         height: Height of its root above the ground, m.
         home: Initial joint positions, rad or m.
-        tool: What has to reach the marker: "link" or "site", and its name.
+        tool: What has to reach the marker.
         marker: (x, y, z) of the tool at the start, m.
         radius: Largest distance of the marker from the tool, m.
         scale: Displacement for an action of 1, rad or m: one number, or joint -> number.
         axes: (3,) 1 for axes of the world along which the marker is moved, else 0.
-        floating: Whether the base is not fixed to the world.
-        limited: Whether the file has an effort limit for every driven joint.
-        bare: Whether the file has no drives: an MJCF without actuators.
+        is_floating: Whether the base is not fixed to the world.
+        has_effort_limits: Whether the file has an effort limit for every driven joint.
+        has_drives: Whether the file has drives; an MJCF without actuators has none.
     """
-    effort = ", max_effort: file" if limited else ""
-    pedestal = ""
-    if height > 0 and not floating:
-        pedestal = _PEDESTAL.format(height=_number(height))
-    halves = [radius * axis for axis in axes]
-    one = _map(scale) if isinstance(scale, Mapping) else _number(scale)
-    return {
-        "uid": uid,
-        "fpath": fpath,
-        "position": _list((0.0, 0.0, height)),
-        "home": _list(home),
-        "standing": "fix_base: false"
-        if floating
-        else "gravcomp: 1                      # it does not sag",
-        "drives": f"drive_pros: {{stiffness: 500, damping: 50{effort}}}",
-        "tool": tool[1],
-        "kind": tool[0],
-        "picked": f"link_names: [{tool[1]}]" if tool[0] == "link" else f"site: {tool[1]}",
-        "marker": _list(marker),
-        "radius": _number(radius),
-        "halves": _list(halves),
-        "range": f"[{_list([0.0 - half for half in halves])}, {_list(halves)}]",
-        "near": _number(round(min(0.05, 0.5 * radius), 2)),
-        "far": _number(4 * radius),
-        "actions": _TARGETS.format(uid=uid, scale=one),
-        "pedestal": pedestal,
-        "tuple": f"(0.0, 0.0, {height})",
-        "array": f"[{', '.join(map(repr, home))}]",
-        "fixed": "fix_base=False" if floating else "gravcomp=1.0",
-        "imports": _DRIVEN_IMPORTS if bare else _IMPORTS,
-        "gains": _GAINS if bare else "",
-    }
+
+    uid: str
+    fpath: str
+    height: float
+    home: Sequence[float]
+    tool: ToolFrame
+    marker: Sequence[float]
+    radius: float
+    scale: float | Mapping[str, float]
+    axes: Sequence[float] = (1.0, 1.0, 1.0)
+    is_floating: bool = False
+    has_effort_limits: bool = True
+    has_drives: bool = True
+
+    def words(self) -> dict[str, str]:
+        """Return the template variables: the first block is for YAML, the second for Python."""
+        halves = [self.radius * axis for axis in self.axes]
+        scale = _map(self.scale) if isinstance(self.scale, Mapping) else _number(self.scale)
+        effort = ", max_effort: file" if self.has_effort_limits else ""
+        standing = "gravcomp: 1                      # it does not sag"
+        if self.is_floating:
+            standing = "fix_base: false"
+        pedestal = ""
+        if self.height > 0 and not self.is_floating:
+            pedestal = _PEDESTAL.format(height=_number(self.height))
+        tool_keys = f"site: {self.tool.name}"
+        if self.tool.kind == "link":
+            tool_keys = f"link_names: [{self.tool.name}]"
+        return {
+            "uid": self.uid,
+            "fpath": self.fpath,
+            "position": _list((0.0, 0.0, self.height)),
+            "home": _list(self.home),
+            "standing": standing,
+            "drives": f"drive_pros: {{stiffness: 500, damping: 50{effort}}}",
+            "tool": self.tool.name,
+            "kind": self.tool.kind,
+            "picked": tool_keys,
+            "marker": _list(self.marker),
+            "radius": _number(self.radius),
+            "halves": _list(halves),
+            # 0.0 - half, because -half would be written as -0 along an axis without motion
+            "range": f"[{_list([0.0 - half for half in halves])}, {_list(halves)}]",
+            "near": _number(round(min(0.05, 0.5 * self.radius), 2)),
+            "far": _number(4 * self.radius),
+            "actions": _TARGETS.format(uid=self.uid, scale=scale),
+            "pedestal": pedestal,
+            "tuple": f"(0.0, 0.0, {self.height})",
+            "array": f"[{', '.join(map(repr, self.home))}]",
+            "fixed": "fix_base=False" if self.is_floating else "gravcomp=1.0",
+            "imports": _IMPORTS if self.has_drives else _DRIVEN_IMPORTS,
+            "gains": "" if self.has_drives else _GAINS,
+        }
 
 
 def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float | None]:
@@ -144,74 +153,147 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
     import mujoco
     import numpy as np
 
-    from embodichain.lab.sim.cfg import RobotCfg
-    from embodichain.lab.sim.compiler.robot.articulation import parse_with_problems
     from embodichain.lab.sim.compiler.robot.files.robot_files import locate, read_model
 
     file = read_model(locate(fpath))
-    types = file.model.jnt_type
-    floating = bool((types == mujoco.mjtJoint.mjJNT_FREE).any())
+    is_floating = bool((file.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any())
+    parsed = _parse(fpath, is_floating)
+    active = [i for i in range(len(parsed.joint_names)) if i not in parsed.mimic_ids]
+    if not active:
+        raise ConfigError(f"{parsed.path}: no joint moves: there is nothing to act on")
+    unservoed_joints = _unservoed_joints(parsed, active)
+    if python and unservoed_joints:
+        message = "a Python task sets joint targets, and these joints have no position servo: "
+        raise ConfigError(f"--python: {message}{', '.join(unservoed_joints)}; leave --python out")
+
+    data = _first_state(parsed, is_floating)
+    tool = _find_tool(parsed)
+    scales = _scales(parsed, active)
+    reach_from_root = math.dist(tool.pos(data), data.body(parsed.root_link_name).xpos)
+    radius = min(0.2, max(0.04, 0.25 * reach_from_root))
+    axes = np.ones(3)
+    # The reach of a base that moves, or of joints that drift, is not known from a pose.
+    if not is_floating and not unservoed_joints:
+        joints = list(scales)
+        reach = ToolReach(parsed.model, data, tool, joints, scale=np.array(list(scales.values())))
+        if parsed.keyframe is None:
+            _bend(parsed, data, reach, joints, _SUFFICIENT_REACH * radius)
+        pose = np.array([data.joint(name).qpos[0] for name in joints])
+        radius = reach.radius(pose, radius) or radius
+        if reach.axes.any():
+            axes = reach.axes.astype(float)
+
+    lift = _lift(lowest_point(parsed.model, data), is_floating)
+    x, y, z = tool.pos(data).tolist()
+    effort_limits = parsed.qf_limits[active]
+    is_scale_common = len(set(scales.values())) == 1
+    robot = _NewRobot(
+        uid=parsed.uid,
+        fpath=fpath,
+        height=lift + float(parsed.placement.root_pos[2]) if is_floating else lift,
+        home=[round(float(data.joint(name).qpos[0]), 4) for name in parsed.joint_names],
+        tool=tool,
+        marker=[round(value, 2) + 0.0 for value in (x, y, z + lift)],
+        radius=math.floor(100 * radius + 1e-6) / 100,
+        scale=next(iter(scales.values())) if is_scale_common else scales,
+        axes=axes.tolist(),
+        is_floating=is_floating,
+        has_effort_limits=bool(((effort_limits > 0) & (effort_limits < math.inf)).all()),
+        has_drives=bool(parsed.control_names),
+    )
+    words = robot.words()
+    if parsed.own_actuators:
+        words["drives"] = _FILE_DRIVES
+    if unservoed_joints:
+        words["actions"] = _CONTROLS.format(uid=robot.uid)
+        if not np.isfinite(parsed.ctrl_limits).all():
+            words["actions"] += _CLIP
+    time_step = None if file.is_urdf else float(file.spec.option.timestep)
+    return words, time_step
+
+
+def _parse(fpath: str, is_floating: bool) -> ParsedArticulation:
+    """Parse the robot's file, under a name made from the file's.
+
+    Raises:
+        ConfigError: If the file has mistakes.
+    """
+    from embodichain.lab.sim.cfg import RobotCfg
+    from embodichain.lab.sim.compiler.robot.articulation import parse_with_problems
+
     uid = re.sub(r"\W+", "_", Path(fpath).stem).strip("_").lower() or "robot"
-    uid = f"{uid}_robot" if uid in _TAKEN else uid
-    cfg = RobotCfg(uid=uid, fpath=fpath, fix_base=not floating)
+    if uid in _RESERVED_UIDS:
+        uid = f"{uid}_robot"
+    cfg = RobotCfg(uid=uid, fpath=fpath, fix_base=not is_floating)
     parsed, problems = parse_with_problems(uid, cfg)
     if parsed is None:
         raise ConfigError(problems)
-    names = parsed.joint_names
-    active = [i for i in range(len(names)) if i not in parsed.mimic_ids]
-    if not active:
-        raise ConfigError(f"{parsed.path}: no joint moves: there is nothing to act on")
-    passive = [names[i] for i in active if not parsed.drives[i]] if parsed.own_actuators else []
-    if python and passive:
-        message = "a Python task sets joint targets, and these joints have no position servo: "
-        raise ConfigError(f"--python: {message}{', '.join(passive)}; leave --python out")
+    return parsed
 
-    data = mujoco.MjData(parsed.model)
-    for name, value in zip(names, _home(parsed), strict=True):
+
+def _unservoed_joints(parsed: ParsedArticulation, active: Sequence[int]) -> list[str]:
+    """Joints that have no position target, because the file's own actuators give them none."""
+    if not parsed.own_actuators:
+        return []
+    return [parsed.joint_names[i] for i in active if not parsed.drives[i]]
+
+
+def _first_state(parsed: ParsedArticulation, is_floating: bool) -> mujoco.MjData:
+    """The robot in its first pose, with a floating base at its height above the origin."""
+    import mujoco
+
+    model = parsed.model
+    data = mujoco.MjData(model)
+    for name, value in zip(parsed.joint_names, _home(parsed), strict=True):
         data.joint(name).qpos = value
-    root = parsed.placement.root_pos
-    if floating:
-        at = int(parsed.model.jnt_qposadr[parsed.model.body(parsed.root_link_name).jntadr[0]])
-        data.qpos[at : at + 7] = [0.0, 0.0, root[2], *parsed.placement.root_quat]
-    mujoco.mj_kinematics(parsed.model, data)
-    kind, tool = _tool(parsed)
-    place = data.body(tool).xpos if kind == "link" else data.site(tool).xpos
-    length = math.dist(place, data.body(parsed.root_link_name).xpos)
-    scale = _scales(parsed, active)
-    radius = min(0.2, max(0.04, 0.25 * length))
-    axes = np.ones(3)
-    if not (floating or passive):
-        moves = np.array(list(scale.values()))
-        reach = ToolReach(parsed.model, data, (kind, tool), list(scale), moves)
-        if parsed.keyframe is None:
-            _bend(parsed, data, reach, list(scale), _ENOUGH * radius)
-        pose = np.array([data.joint(name).qpos[0] for name in scale])
-        radius = reach.radius(pose, radius) or radius
-        axes = reach.axes.astype(float) if reach.axes.any() else axes
-    lowest = lowest_point(parsed.model, data)
-    lift = math.ceil(100 * (-lowest if floating else max(0.0, -lowest)) - 1e-6) / 100
-    x, y, z = place.tolist()
-    limits = parsed.qf_limits[active]
-    words = _words(
-        uid=uid,
-        fpath=fpath,
-        height=lift + float(root[2]) if floating else lift,
-        home=[round(float(data.joint(name).qpos[0]), 4) for name in names],
-        tool=(kind, tool),
-        marker=[round(value, 2) + 0.0 for value in (x, y, z + lift)],
-        radius=math.floor(100 * radius + 1e-6) / 100,
-        axes=axes.tolist(),
-        scale=next(iter(scale.values())) if len(set(scale.values())) == 1 else scale,
-        floating=floating,
-        limited=bool(((limits > 0) & (limits < math.inf)).all()),
-        bare=not parsed.control_names,
+    if is_floating:
+        root_joint = model.body(parsed.root_link_name).jntadr[0]
+        start = int(model.jnt_qposadr[root_joint])
+        height = parsed.placement.root_pos[2]
+        data.qpos[start : start + 7] = [0.0, 0.0, height, *parsed.placement.root_quat]
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def _lift(lowest: float, is_floating: bool) -> float:
+    """How far a robot is lifted so that nothing of it is below the ground, whole cm in m.
+
+    A floating base is lowered too, if it hangs in the air.
+    """
+    height = -lowest if is_floating else max(0.0, -lowest)
+    return math.ceil(100 * height - 1e-6) / 100
+
+
+@dataclass(frozen=True)
+class _Mimic:
+    """A joint that follows another: its position is `multiplier * leader + offset`.
+
+    Attributes:
+        joint: Index of the joint.
+        leader: Index of the joint that it follows.
+        multiplier: Its motion by the leader's.
+        offset: Its position where the leader's is 0, rad or m.
+    """
+
+    joint: int
+    leader: int
+    multiplier: float
+    offset: float
+
+
+def _mimics(parsed: ParsedArticulation) -> list[_Mimic]:
+    """The joints that follow others."""
+    columns = zip(
+        parsed.mimic_ids,
+        parsed.mimic_parents,
+        parsed.mimic_multipliers,
+        parsed.mimic_offsets,
+        strict=True,
     )
-    if parsed.own_actuators:
-        words["drives"] = _FILE_DRIVES
-    if passive:
-        bounded = np.isfinite(parsed.ctrl_limits).all()
-        words["actions"] = _CONTROLS.format(uid=uid) + ("" if bounded else _CLIP)
-    return words, None if file.is_urdf else float(file.spec.option.timestep)
+    return [
+        _Mimic(joint=int(joint), leader=int(leader), multiplier=multiplier, offset=offset)
+        for joint, leader, multiplier, offset in columns
+    ]
 
 
 def _bend(
@@ -225,15 +307,14 @@ def _bend(
     import mujoco
     import numpy as np
 
-    hinges = np.array([parsed.model.joint(name).type[0] for name in joints])
-    pose = bent_home(reach, hinges == mujoco.mjtJoint.mjJNT_HINGE, enough)
+    types = np.array([parsed.model.joint(name).type[0] for name in joints])
+    pose = bent_home(reach, types == mujoco.mjtJoint.mjJNT_HINGE, enough)
     for name, value in zip(joints, pose, strict=True):
         data.joint(name).qpos = value
-    linear = zip(parsed.mimic_ids, parsed.mimic_parents, strict=True)
-    factors = zip(parsed.mimic_multipliers, parsed.mimic_offsets, strict=True)
-    for (i, parent), (multiplier, offset) in zip(linear, factors, strict=True):
-        leader = data.joint(parsed.joint_names[parent]).qpos[0]
-        data.joint(parsed.joint_names[i]).qpos = multiplier * leader + offset
+    for mimic in _mimics(parsed):
+        leader = data.joint(parsed.joint_names[mimic.leader]).qpos[0]
+        follower = data.joint(parsed.joint_names[mimic.joint])
+        follower.qpos = mimic.multiplier * leader + mimic.offset
     mujoco.mj_kinematics(parsed.model, data)
 
 
@@ -243,56 +324,94 @@ def _home(parsed: ParsedArticulation) -> list[float]:
     The range of a joint that others mimic is the part where they are inside their limits too. If
     there is none, `validate` reports the joints.
     """
-    home = [float(value) for value in parsed.init_qpos]
+    mimics = _mimics(parsed)
     limits = [(float(low), float(high)) for low, high in parsed.qpos_limits]
-    mimics = parsed.mimic_ids, parsed.mimic_parents
-    linear = parsed.mimic_multipliers, parsed.mimic_offsets
-    follows = list(zip(*mimics, *linear, strict=True))
-    for i, parent, multiplier, offset in follows:
-        if multiplier:
-            ends = sorted((end - offset) / multiplier for end in limits[i])
-            low, high = max(ends[0], limits[parent][0]), min(ends[1], limits[parent][1])
-            limits[parent] = (low, high) if low <= high else limits[parent]
+    for mimic in mimics:
+        if mimic.multiplier:
+            limits[mimic.leader] = _narrowed(limits[mimic.leader], limits[mimic.joint], mimic)
+    home = [float(value) for value in parsed.init_qpos]
     for i, (low, high) in enumerate(limits):
         margin = 0.05 * (high - low) if math.isfinite(high - low) else 0.0
-        if not low + margin <= home[i] <= high - margin:
-            middle = 0.5 * (low + high)
-            home[i] = middle if math.isfinite(middle) else min(max(home[i], low), high)
-    for i, parent, multiplier, offset in follows:
-        home[i] = multiplier * home[parent] + offset
+        if low + margin <= home[i] <= high - margin:
+            continue
+        middle = 0.5 * (low + high)
+        if math.isfinite(middle):
+            home[i] = middle
+        else:
+            home[i] = min(max(home[i], low), high)
+    for mimic in mimics:
+        home[mimic.joint] = mimic.multiplier * home[mimic.leader] + mimic.offset
     return home
 
 
-def _tool(parsed: ParsedArticulation) -> tuple[str, str]:
-    """Kind and name: a site or a link that is called as tools are, in the last half of a chain.
+def _narrowed(
+    leader: tuple[float, float], follower: tuple[float, float], mimic: _Mimic
+) -> tuple[float, float]:
+    """A leader's limits where its follower is inside its own too; unchanged if that is nowhere."""
+    ends = sorted((end - mimic.offset) / mimic.multiplier for end in follower)
+    low = max(ends[0], leader[0])
+    high = min(ends[1], leader[1])
+    return (low, high) if low <= high else leader
+
+
+class _ChainRank(NamedTuple):
+    """How a chain of links compares with others: the tool is at the end of the largest.
+
+    Attributes:
+        joints: Its hinges; its slides if it has no hinge.
+        minus_slides: Minus its slides, if it has hinges: fingers slide, and are past the tool.
+        depth: Its links.
+    """
+
+    joints: int
+    minus_slides: int
+    depth: int
+
+
+def _chain_rank(model: mujoco.MjModel, body: int) -> _ChainRank:
+    """The rank of the chain from the world to a body."""
+    import mujoco
+
+    depth = 0
+    types: list[int] = []
+    while body > 0:
+        types += model.jnt_type[model.jnt_bodyid == body].tolist()
+        body = int(model.body_parentid[body])
+        depth += 1
+    hinges = types.count(mujoco.mjtJoint.mjJNT_HINGE)
+    slides = types.count(mujoco.mjtJoint.mjJNT_SLIDE)
+    if hinges:
+        return _ChainRank(joints=hinges, minus_slides=-slides, depth=depth)
+    return _ChainRank(joints=slides, minus_slides=0, depth=depth)
+
+
+def _find_tool(parsed: ParsedArticulation) -> ToolFrame:
+    """A site or a link that is called as tools are, in the last half of a chain.
 
     Else the link at the end of the longest chain of hinges, before sliding fingers.
     """
-    import mujoco
-
     model = parsed.model
+    link_ids = {name: model.body(name).id for name in parsed.link_names}
+    ranks = {name: _chain_rank(model, body) for name, body in link_ids.items()}
+    links = sorted(link_ids, key=lambda name: link_ids[name])
+    last_link = max(links, key=lambda name: ranks[name])
 
-    def rank(body: int) -> tuple[int, int, int]:
-        depth, kinds = 0, []
-        while body > 0:
-            kinds += model.jnt_type[model.jnt_bodyid == body].tolist()
-            body, depth = int(model.body_parentid[body]), depth + 1
-        hinges = kinds.count(mujoco.mjtJoint.mjJNT_HINGE)
-        slides = kinds.count(mujoco.mjtJoint.mjJNT_SLIDE)
-        return (hinges, -slides, depth) if hinges else (slides, 0, depth)
-
-    bodies = {name: model.body(name).id for name in parsed.link_names}
-    links = sorted(bodies, key=lambda name: bodies[name])
-    last = max(links, key=lambda name: rank(bodies[name]))
-    sites = {name: int(model.site(name).bodyid[0]) for name in parsed.site_names}
-    tools = []
-    for kind, places in (("site", sites), ("link", bodies)):
-        for name, body in places.items():
-            word = _TOOL.search(name)
-            joints, _, depth = rank(body)
-            if word and 2 * joints >= rank(bodies[last])[0]:
-                tools.append((_TOOLS.index(word[1].lower()), kind == "link", -depth, kind, name))
-    return min(tools)[3:] if tools else ("link", last)
+    bodies = {ToolFrame("link", name): body for name, body in link_ids.items()}
+    for name in parsed.site_names:
+        bodies[ToolFrame("site", name)] = int(model.site(name).bodyid[0])
+    candidates: list[tuple[int, bool, int, ToolFrame]] = []
+    for frame, body in bodies.items():
+        word = _TOOL_NAME.search(frame.name)
+        if word is None:
+            continue
+        rank = _chain_rank(model, body)
+        if 2 * rank.joints >= ranks[last_link].joints:
+            preference = _TOOL_WORDS.index(word[1].lower())
+            # Sites before links, then the one that is farthest from the root.
+            candidates.append((preference, frame.kind == "link", -rank.depth, frame))
+    if not candidates:
+        return ToolFrame("link", last_link)
+    return min(candidates)[-1]
 
 
 def _scales(parsed: ParsedArticulation, active: list[int]) -> dict[str, float]:
@@ -323,30 +442,32 @@ def _map(values: Mapping[str, float]) -> str:
     groups: dict[float, list[str]] = {}
     for name, value in values.items():
         groups.setdefault(value, []).append(name)
-    parts = []
+    items = []
     for value, names in groups.items():
         regex = _regex(names, values)
-        keys = [regex] if len(regex) <= _KEY else map(re.escape, names)
-        parts += [f"{json.dumps(key)}: {_number(value)}" for key in keys]
-    return f"{{{', '.join(parts)}}}"
+        keys = [regex] if len(regex) <= _LONGEST_KEY else map(re.escape, names)
+        items += [f"{json.dumps(key)}: {_number(value)}" for key in keys]
+    return f"{{{', '.join(items)}}}"
 
 
 def _regex(names: Sequence[str], all_names: Iterable[str]) -> str:
     """A regex that matches only these names: their common prefix if that is enough."""
-    start = os.path.commonprefix(list(names))
-    if start and len(names) > 1 and sum(n.startswith(start) for n in all_names) == len(names):
-        return f"{re.escape(start)}.*"
+    prefix = os.path.commonprefix(list(names))
+    if prefix and len(names) > 1:
+        matches = [name for name in all_names if name.startswith(prefix)]
+        if len(matches) == len(names):
+            return f"{re.escape(prefix)}.*"
     return "|".join(map(re.escape, names))
 
 
-UR10 = _words(
+UR10 = _NewRobot(
     uid="ur10",
     fpath="UniversalRobots/UR10/UR10.urdf",
     height=1.0,
     home=(1.57, -1.57, 1.57, -1.57, -1.57, 0.0),
-    tool=("link", "ee_link"),
+    tool=ToolFrame("link", "ee_link"),
     marker=(-0.16, 0.69, 1.65),
     radius=0.2,
     scale=0.6,
-)
+).words()
 """The robot of a new task by default: the bundled one, at a table's height."""

@@ -53,38 +53,50 @@ class TimeStep:
         }
 
 
-def time_step(own: float | None, text: Callable[[TimeStep], str]) -> TimeStep:
+def time_step(file_dt: float | None, text: Callable[[TimeStep], str]) -> TimeStep:
     """Return the file's time step, or the largest of a ladder, with which the task is stable.
 
     Args:
-        own: The time step of an MJCF; a URDF has none.
+        file_dt: The time step of an MJCF, s; a URDF has none.
         text: Makes the YAML of the task.
     """
-    smaller = (dt for dt in _LADDER if own is None or dt < own)
-    tried = [*smaller] if own is None else [own, *smaller]
+    if file_dt is None:
+        candidates = list(_LADDER)
+    else:
+        candidates = [file_dt, *(dt for dt in _LADDER if dt < file_dt)]
     unstable: list[str] = []
-    for dt in tried:
+    for dt in candidates:
         try:
             diverges = _diverges(text(TimeStep(dt)))
         except ConfigError:
-            why = f"{_origin(dt, own)}; not tried, because the task has mistakes"
-            return TimeStep(dt, why, dt == own)
+            why = f"{_origin(dt, file_dt)}; not tried, because the task has mistakes"
+            return TimeStep(dt, why, dt == file_dt)
         if not diverges:
-            return TimeStep(dt, _why(dt, own, unstable), dt == own)
+            return TimeStep(dt, _why(dt, file_dt, unstable), dt == file_dt)
         unstable.append(f"{dt:g}")
     why = f"the task diverges with it, and with {', '.join(unstable[1:]) or 'no other'} s too"
-    return TimeStep(tried[0], f"{_origin(tried[0], own)}; {why}", own is not None)
+    first = candidates[0]
+    return TimeStep(first, f"{_origin(first, file_dt)}; {why}", file_dt is not None)
 
 
-def _origin(dt: float, own: float | None) -> str:
-    return "the file's" if dt == own else "the largest that was tried"
+def _origin(dt: float, file_dt: float | None) -> str:
+    return "the file's" if dt == file_dt else "the largest that was tried"
 
 
-def _why(dt: float, own: float | None, unstable: list[str]) -> str:
+def _why(dt: float, file_dt: float | None, unstable: list[str]) -> str:
+    """Why a stable time step was chosen.
+
+    Args:
+        dt: The time step, s.
+        file_dt: The file's.
+        unstable: The larger ones with which the task diverges.
+    """
     trial = f"{_STEPS} control steps of zero and of random actions"
     if not unstable:
-        return f"{_origin(dt, own)}; stable in {trial}"
-    larger = f"{', '.join(unstable)} s" + (" (the file's first)" if own is not None else "")
+        return f"{_origin(dt, file_dt)}; stable in {trial}"
+    larger = f"{', '.join(unstable)} s"
+    if file_dt is not None:
+        larger += " (the file's first)"
     return f"the largest that is stable in {trial}, which diverge with {larger}"
 
 

@@ -23,7 +23,7 @@ _COLUMNS = {
     "env steps": "env_steps",
 }
 _COSTS = ("steps/s", "seconds", "env steps")
-"""Columns that are no results: without an interval, the mean alone is shown."""
+"""Columns that are not results: without an interval, the mean alone is shown."""
 
 
 def comparison_table(groups: Sequence[Group]) -> tuple[str, list[dict[str, Any]]]:
@@ -31,31 +31,34 @@ def comparison_table(groups: Sequence[Group]) -> tuple[str, list[dict[str, Any]]
     from embodichain.learning.evaluation.comparison import short_labels
 
     common, labels = short_labels(groups)
-    numbers = [seed_estimates(group) for group in groups]
-    rows = [
-        {
-            **{"runs": label, "seeds": len(group.runs)},
-            **{
-                title: _cell(title, found[name])
-                for title, name in _COLUMNS.items()
-                if any(other[name] for other in numbers)
-            },
-        }
-        for group, label, found in zip(groups, labels, numbers, strict=True)
-    ]
-    return f"trainings{common and f' of {common}'}: mean over seeds [95 % interval]", rows
+    estimates = [seed_estimates(group) for group in groups]
+    columns = {
+        title: name
+        for title, name in _COLUMNS.items()
+        if any(group_estimates[name] for group_estimates in estimates)
+    }
+    rows = []
+    for group, label, group_estimates in zip(groups, labels, estimates, strict=True):
+        row: dict[str, Any] = {"runs": label, "seeds": len(group.runs)}
+        for title, name in columns.items():
+            row[title] = _cell(title, group_estimates[name])
+        rows.append(row)
+    trainings = f"trainings of {common}" if common else "trainings"
+    return f"{trainings}: mean over seeds [95 % interval]", rows
 
 
 def too_few_seeds(groups: Sequence[Group]) -> list[str]:
     """Return a sentence if groups have too few seeds for an interval, so that points are shown."""
     from embodichain.learning.evaluation.statistics import LEAST_SEEDS
 
-    few = sorted({len(group.runs) for group in groups if len(group.runs) < LEAST_SEEDS})
-    if not few:
+    counts = sorted({len(group.runs) for group in groups if len(group.runs) < LEAST_SEEDS})
+    if not counts:
         return []
-    seeds = "1 seed" if few == [1] else f"{' or '.join(map(str, few))} seeds"
-    points = "" if few == [1] else ": in parentheses is the value of each"
-    return [f"no interval from {seeds}, it needs at least {LEAST_SEEDS}{points}"]
+    if counts == [1]:
+        return [f"no interval from 1 seed, it needs at least {LEAST_SEEDS}"]
+    seeds = f"{' or '.join(map(str, counts))} seeds"
+    needed = f"it needs at least {LEAST_SEEDS}"
+    return [f"no interval from {seeds}, {needed}: in parentheses is the value of each"]
 
 
 def seed_estimates(group: Group) -> dict[str, SeedEstimate | None]:
@@ -63,19 +66,27 @@ def seed_estimates(group: Group) -> dict[str, SeedEstimate | None]:
     return {name: group.number(name) for name in _COLUMNS.values()}
 
 
-def _cell(title: str, found: SeedEstimate | None) -> str | None:
-    if found is None:
+def _cell(title: str, estimate: SeedEstimate | None) -> str | None:
+    if estimate is None:
         return None
-    if found.mean_interval is None and title in _COSTS:
-        return number(found.mean)
-    return mean_of_seeds(found, share="success" in title)
+    if estimate.mean_interval is None and title in _COSTS:
+        return number(estimate.mean)
+    return mean_of_seeds(estimate, share="success" in title)
 
 
-def mean_of_seeds(found: SeedEstimate, *, share: bool = False) -> str:
-    """Return a mean with its interval, or with the value of each of too few seeds."""
-    form: Callable[[float], str] = "{:.1%}".format if share else number
-    ends, values = found.mean_interval, found.values
-    if ends is not None:
-        return f"{form(found.mean)} [{form(ends[0])}, {form(ends[1])}]"
-    points = ", ".join(form(value).rstrip("%") for value in values)
-    return form(found.mean) + (f" ({points})" if len(values) > 1 else "")
+def mean_of_seeds(estimate: SeedEstimate, *, share: bool = False) -> str:
+    """Return a mean with its interval, or with the value of each of too few seeds.
+
+    Args:
+        estimate: The mean over seeds.
+        share: Whether it is a share, which is written in percent.
+    """
+    text: Callable[[float], str] = "{:.1%}".format if share else number
+    mean = text(estimate.mean)
+    if estimate.mean_interval is not None:
+        low, high = estimate.mean_interval
+        return f"{mean} [{text(low)}, {text(high)}]"
+    if len(estimate.values) == 1:
+        return mean
+    values = ", ".join(text(value).rstrip("%") for value in estimate.values)
+    return f"{mean} ({values})"

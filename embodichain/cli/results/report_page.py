@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import importlib.util
 import json
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -29,6 +30,7 @@ from embodichain.utils.system.atomic import remove_abandoned
 
 if TYPE_CHECKING:
     from embodichain.learning.evaluation.comparison import Curve
+    from embodichain.recording.read.episodes import LogEpisode
     from embodichain.recording.read.summary import LogSummary
 
 __all__ = ["page_of"]
@@ -55,26 +57,20 @@ def page_of(folder: Path) -> str:
     """
     from jinja2 import Environment
 
-    from embodichain.recording.demos.collection import is_collection
-
     if not (folder / CONFIG).is_file():
-        raise ConfigError(f"{folder} is no run's folder: it has no {CONFIG}")
+        raise ConfigError(f"{folder} is not a run's folder: it has no {CONFIG}")
     for place in (folder, (folder / CHECKPOINT).parent):
         remove_abandoned(place)
     config = _yaml(folder / CONFIG)
-    summary, evaluated = shown(_json(folder / SUMMARY)), shown(_json(folder / "eval.json"))
-    kind = "training" if "algo" in summary or (folder / "progress.csv").exists() else "run"
-    kind = "evaluation" if evaluated and kind != "training" else kind
-    kind = "collection" if is_collection(folder) else kind
-    outcome = summary or evaluated
-    notes = [] if outcome else [f"no {SUMMARY}: the run did not end, or was killed"]
-    notes += [f"failed: {outcome['error']}"] if "error" in outcome else []
-    notes += [f"of the environment: {path}: {shown(text)}" for path, text in recorded_texts(config)]
-    log, found = _log(folder / LOG)
-    films, left_out = _films(folder)
-    curves = _curves(folder, log)
+    summary = shown(_json(folder / SUMMARY))
+    evaluation = shown(_json(folder / "eval.json"))
+    outcome = summary or evaluation
+    kind = _kind_of(folder, summary, evaluation)
     status = str(outcome.get("status", "finished" if outcome else "unfinished"))
     task = str(outcome.get("task", folder.name.partition("_")[2]))
+    log, log_notes = _log(folder / LOG)
+    films, film_notes = _films(folder)
+    curves, curve_notes = _curves(folder, log)
     episodes = log.episodes if log is not None else []
     context = {
         "title": f"{task}: {kind}",
@@ -85,29 +81,60 @@ def page_of(folder: Path) -> str:
         "folder": display_path(folder),
         "begun": f"{datetime.fromtimestamp((folder / CONFIG).stat().st_mtime):%Y-%m-%d %H:%M:%S}",
         "description": shown(config.get("task", {}).get("description", "")),
-        "notes": [*notes, *found, *left_out, *curves[1]],
-        "results": [(name, number(value)) for name, value in _results(summary, evaluated)],
+        "notes": [*_notes(outcome, config), *log_notes, *film_notes, *curve_notes],
+        "results": [(name, number(value)) for name, value in _results(summary, evaluation)],
         "films": films,
         "picture": _data_url(folder / "scene.png", "image/png"),
-        "curves": curves[0],
+        "curves": curves,
         "training": _training(folder, config.get("policy")),
-        "rewards": _rewards(summary, evaluated),
-        "episodes": [
-            {name: number(getattr(episode, name)) for name in _EPISODE}
-            | ({} if episode.counted is None else {"counted": number(episode.counted)})
-            for episode in episodes[:_MOST_EPISODES]
-        ],
+        "rewards": _rewards(summary, evaluation),
+        "episodes": [_episode_row(episode) for episode in episodes[:_MOST_EPISODES]],
         "more_episodes": max(len(episodes) - _MOST_EPISODES, 0),
         "commands": _commands(folder, kind, task, config, has_log=log is not None),
         "log": _log_facts(log),
         "config": _text(folder / CONFIG),
         "overrides": "\n".join(map(str, _yaml(folder / "overrides.yaml") or [])),
         "messages": "\n".join(_text(folder / "run.log").splitlines()[-_MOST_MESSAGES:]),
-        "versions": [(k, v or "not installed") for k, v in _json(folder / "versions.json").items()],
+        "versions": [
+            (package, version or "not installed")
+            for package, version in _json(folder / "versions.json").items()
+        ],
     }
     template = resources.files("embodichain.cli") / "templates" / "report.html.tmpl"
     page = Environment(autoescape=True).from_string(template.read_text(encoding="utf-8"))
     return page.render(context)
+
+
+def _kind_of(folder: Path, summary: Mapping[str, Any], evaluation: Mapping[str, Any]) -> str:
+    """What was done in a folder, in a word."""
+    from embodichain.recording.demos.collection import is_collection
+
+    if is_collection(folder):
+        return "collection"
+    # A training may be evaluated in its own folder, which is then still a training's.
+    if "algo" in summary or (folder / "progress.csv").exists():
+        return "training"
+    return "evaluation" if evaluation else "run"
+
+
+def _notes(outcome: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
+    """How the run failed, and texts of its config that came from the environment."""
+    notes = []
+    if not outcome:
+        notes.append(f"no {SUMMARY}: the run did not end, or was killed")
+    if "error" in outcome:
+        notes.append(f"failed: {outcome['error']}")
+    for path, text in recorded_texts(config):
+        notes.append(f"of the environment: {path}: {shown(text)}")
+    return notes
+
+
+def _episode_row(episode: LogEpisode) -> dict[str, str]:
+    """The cells of one episode of the log."""
+    row = {name: number(getattr(episode, name)) for name in _EPISODE}
+    if episode.counted is not None:
+        row["counted"] = number(episode.counted)
+    return row
 
 
 # -- files of a run --------------------------------------------------------------------------------
@@ -151,8 +178,11 @@ _FILMS = {".mp4": "video/mp4", ".gif": "image/gif"}
 
 def _films(folder: Path) -> tuple[list[tuple[str, str]], list[str]]:
     """Name and address of each film, and notes about films that are too large."""
-    films, notes, total = [], [], 0
-    for path in sorted(p for p in folder.iterdir() if p.suffix in _FILMS):
+    films = []
+    notes = []
+    total = 0
+    paths = [path for path in folder.iterdir() if path.suffix in _FILMS]
+    for path in sorted(paths):
         total += path.stat().st_size
         if total > _LARGEST_FILM:
             notes.append(f"{path.name} is not in the page: films may have {_LARGEST_FILM:,} bytes")
@@ -177,7 +207,7 @@ def _log(path: Path) -> tuple[LogSummary | None, list[str]]:
 # -- sections --------------------------------------------------------------------------------------
 
 
-def _results(summary: Mapping[str, Any], evaluated: Mapping[str, Any]) -> Rows:
+def _results(summary: Mapping[str, Any], evaluation: Mapping[str, Any]) -> Rows:
     """The table that the command printed, without rewards, which have a section."""
     if summary.get("status") == "failed":
         rows = list(summary.items())
@@ -193,59 +223,66 @@ def _results(summary: Mapping[str, Any], evaluated: Mapping[str, Any]) -> Rows:
         from embodichain.cli.results.summaries import run_rows
 
         rows = run_rows(summary)
-    elif evaluated:
+    elif evaluation:
         from embodichain.cli.results.summaries import evaluation_rows
 
-        rows = evaluation_rows(evaluated)
+        rows = evaluation_rows(evaluation)
     else:
         rows = []
     return [(name, value) for name, value in rows if not name.startswith("reward ")]
 
 
 def _training(folder: Path, policy: Any) -> dict[str, Any]:
-    """Of a run whose policy was trained in another run's folder: its place, results and curves."""
+    """Where the policy of a run was trained, with that run's results and curves.
+
+    Empty if the policy is not a file of another training's folder.
+    """
     if not isinstance(policy, str):
         return {}
     file = Path(policy)
     runs = [run for run in (file, *file.parents[:2]) if (run / SUMMARY).is_file()]
-    summary = _json(runs[0] / SUMMARY) if runs and runs[0].resolve() != folder else {}
+    if not runs or runs[0].resolve() == folder:
+        return {}
+    training = runs[0]
+    summary = _json(training / SUMMARY)
     if "algo" not in summary:
         return {}
-    curves, notes = _curves(runs[0], None)
+    curves, notes = _curves(training, None)
     return {
-        "folder": display_path(runs[0]),
+        "folder": display_path(training),
         "results": [(name, number(value)) for name, value in _results(summary, {})],
         "curves": curves,
         "notes": notes,
-        "command": f"embodichain report {shlex.quote(display_path(runs[0]))}",
+        "command": f"embodichain report {shlex.quote(display_path(training))}",
     }
 
 
 def _rewards(
-    summary: Mapping[str, Any], evaluated: Mapping[str, Any]
+    summary: Mapping[str, Any], evaluation: Mapping[str, Any]
 ) -> list[tuple[str, str, float]]:
     """Name, value, and share of the largest of each reward term."""
-    rewards = summary.get("rewards") or evaluated.get("rewards") or {}
-    known = {name: float(value) for name, value in rewards.items() if value is not None}
-    most = max(map(abs, known.values()), default=0.0) or 1.0
-    return [(name, number(value), value / most) for name, value in known.items()]
+    rewards = summary.get("rewards") or evaluation.get("rewards") or {}
+    values = {name: float(value) for name, value in rewards.items() if value is not None}
+    largest = max(map(abs, values.values()), default=0.0) or 1.0
+    return [(name, number(value), value / largest) for name, value in values.items()]
 
 
 def _log_facts(log: LogSummary | None) -> Rows:
     if log is None:
         return []
-    ended = f"{len(log.episodes):,}"
     header = log.header
+    ended = f"{len(log.episodes):,}"
     if log.counted is not None:
-        which = "the first of each environment" if header.quota else "those that were needed"
-        ended += f", of which {log.counted:,} count: {which}"
+        counting = "the first of each environment" if header.quota else "those that were needed"
+        ended += f", of which {log.counted:,} count: {counting}"
+    verifiable = f"no: {header.unverifiable}" if header.unverifiable else "yes"
     return [
         ("file", f"{log.path.name}, {log.nbytes / 1e6:.2f} MB"),
         ("recorded with", header.recorded_with),
         ("environments", f"{header.num_envs}, seed {header.seed}"),
         ("steps", f"{log.steps:,} control steps = {log.duration_s:.2f} s simulated"),
         ("episodes that ended", ended),
-        ("verifiable", header.unverifiable and f"no: {header.unverifiable}" or "yes"),
+        ("verifiable", verifiable),
     ]
 
 
@@ -254,24 +291,28 @@ def _commands(
 ) -> list[tuple[str, str]]:
     """Descriptions and commands that repeat, replay or continue the run."""
     run = shlex.quote(display_path(folder))
+    commands = []
     typed = _text(folder / "command.txt").strip().rpartition("\n")[2]
-    found = [("As it was run", typed)] if typed else []
-    if typed and not any(word.startswith("seed=") for word in shlex.split(typed)):
-        found.append(("The same random numbers again", f"{typed} seed={config.get('seed')}"))
+    if typed:
+        commands.append(("As it was run", typed))
+        has_seed = any(word.startswith("seed=") for word in shlex.split(typed))
+        if not has_seed:
+            with_seed = f"{typed} seed={config.get('seed')}"
+            commands.append(("The same random numbers again", with_seed))
     if kind == "collection":
-        found.append(("Go on", f"embodichain collect resume={run}"))
+        commands.append(("Go on", f"embodichain collect resume={run}"))
     if kind == "training":
-        found += [
+        commands += [
             ("Evaluate the policy", f"embodichain eval {run}"),
             ("Play the policy", f"embodichain run task={shlex.quote(task)} policy={run}"),
         ]
     if has_log:
-        found += [
+        commands += [
             ("Simulate the log again and compare every bit", f"embodichain replay {run} --verify"),
             ("Play the log in a browser", f"embodichain replay {run} --view web"),
             ("Open the log in Foxglove or Lichtblick", f"embodichain view {run}"),
         ]
-    return found
+    return commands
 
 
 # -- curves ----------------------------------------------------------------------------------------
@@ -320,17 +361,21 @@ def _panels(folder: Path, log: LogSummary | None) -> list[Panel]:
     )
 
     titles = {RETURN: "mean return", SUCCESS: "success rate", LENGTH: "mean length, control steps"}
-    wanted = (*titles, _REWARD)
-    curves = read_curves(folder / PROGRESS, lambda name: name.startswith(wanted))
+    prefixes = (*titles, _REWARD)
+    curves = read_curves(folder / PROGRESS, lambda name: name.startswith(prefixes))
     panels = [
         Panel(title, {title: curves[name]}, share=name == SUCCESS)
         for name, title in titles.items()
         if name in curves
     ]
-    terms = {name.removeprefix(_REWARD): c for name, c in curves.items() if name not in titles}
+    terms = {
+        name.removeprefix(_REWARD): curve for name, curve in curves.items() if name not in titles
+    }
     if terms:
         panels.append(Panel("rewards by term", terms))
-    return panels if panels or log is None else _panels_of_log(log)
+    if not panels and log is not None:
+        return _panels_of_log(log)
+    return panels
 
 
 def _panels_of_log(log: LogSummary) -> list[Panel]:
@@ -339,11 +384,11 @@ def _panels_of_log(log: LogSummary) -> list[Panel]:
     from embodichain.recording import open as open_log
 
     panels = []
-    with open_log(log.path) as found:
-        rewards = found.read("rewards")["rewards"].mean(axis=1, dtype=np.float64)
+    with open_log(log.path) as reader:
+        rewards = reader.read("rewards")["rewards"].mean(axis=1, dtype=np.float64)
     if rewards.any():
         # Means of equal parts, so that a long run has as many points as the picture has pixels.
-        size = -(-len(rewards) // _MOST_POINTS)
+        size = math.ceil(len(rewards) / _MOST_POINTS)
         starts = np.arange(0, len(rewards), size)
         means = np.add.reduceat(rewards, starts) / np.diff(starts, append=len(rewards))
         steps = log.header.first_step + starts.astype(np.float64)
@@ -364,7 +409,7 @@ def _svg(panels: Sequence[Panel]) -> str:
 
     from embodichain.learning.evaluation.plots import set_axes
 
-    rows = -(-len(panels) // 2)
+    rows = math.ceil(len(panels) / 2)
     stream = StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "report"}):
         figure = Figure(figsize=(11.0, 3.2 * rows), layout="constrained")
@@ -373,9 +418,9 @@ def _svg(panels: Sequence[Panel]) -> str:
             for name, curve in panel.curves.items():
                 line = "o" if len(curve.steps) == 1 else panel.line
                 axes.plot(curve.steps, curve.values, line, label=name)
-            last = max(float(curve.steps[-1]) for curve in panel.curves.values())
-            drawn = [x for curve in panel.curves.values() for x in curve.values.tolist()]
-            set_axes(axes, last, drawn, share=panel.share)
+            last_step = max(float(curve.steps[-1]) for curve in panel.curves.values())
+            values = [value for curve in panel.curves.values() for value in curve.values.tolist()]
+            set_axes(axes, last_step, values, share=panel.share)
             axes.set_title(panel.title)
             axes.set_xlabel(panel.x_label)
             if len(panel.curves) > 1:

@@ -21,6 +21,11 @@ __all__ = ["task_tables", "without_defaults"]
 Rows = list[dict[str, Any]]
 _SECTIONS = tuple(SECTION_OF.values())
 _ALWAYS = ("term", "func", "shape", "weight", "kind", "reduce", "group", "params")
+"""Columns of terms that are shown even if every value is the default."""
+_NO_EPISODE_LIMIT = 2**31 - 1
+"""Control steps of an episode that only a termination ends."""
+_NO_LIMIT = 1e9
+"""Values from which a limit of a drive is none, in any unit."""
 
 
 def task_tables(resolved: Resolved) -> dict[str, Any]:
@@ -59,7 +64,7 @@ def task_tables(resolved: Resolved) -> dict[str, Any]:
 
 
 def _training(resolved: Resolved) -> dict[str, Any]:
-    """What `train` does without further keys: the task's suggestions, and what follows from them.
+    """The training that `train` starts without further keys: suggestions, and what follows.
 
     Empty for a task that suggests no training.
     """
@@ -67,15 +72,19 @@ def _training(resolved: Resolved) -> dict[str, Any]:
     from embodichain.config.learning_scale import scale_learning
 
     suggested = resolved.tree["task"].get("suggested") or {}
-    given = suggested.get("train")
-    if not given:
+    training = suggested.get("train")
+    if not training:
         return {}
-    num_envs, total = given.get("num_envs") or 1, given.get("total_timesteps")
-    algo = {"name": DEFAULT_ALGORITHM, **(given.get("algo") or {})}
-    scale = scale_learning(algo, num_envs, total)
-    facts = {"algo": algo["name"], "num_envs": num_envs, "total_timesteps": total}
-    facts |= {f"algo.{key}": value for key, value in scale.chosen.items()}
-    return facts | ({"because": scale.reason} if scale.reason else {})
+    algo = {"name": DEFAULT_ALGORITHM, **(training.get("algo") or {})}
+    num_envs = training.get("num_envs") or 1
+    total_timesteps = training.get("total_timesteps")
+    scale = scale_learning(algo, num_envs, total_timesteps)
+    facts = {"algo": algo["name"], "num_envs": num_envs, "total_timesteps": total_timesteps}
+    for key, value in scale.chosen.items():
+        facts[f"algo.{key}"] = value
+    if scale.reason:
+        facts["because"] = scale.reason
+    return facts
 
 
 def without_defaults(section: str, rows: Rows) -> Rows:
@@ -89,8 +98,8 @@ def without_defaults(section: str, rows: Rows) -> Rows:
         return rows
     from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 
-    term = get_args(get_type_hints(EnvCfg)[section])[1]
-    defaults = vars(term()) if issubclass(term, TermCfg) else {}
+    cfg_class = get_args(get_type_hints(EnvCfg)[section])[1]
+    defaults = vars(cfg_class()) if issubclass(cfg_class, TermCfg) else {}
     names = dict.fromkeys(name for row in rows for name in row)
     shown = [
         name
@@ -104,7 +113,7 @@ def without_defaults(section: str, rows: Rows) -> Rows:
 
 
 def _steps(env: BaseEnv) -> Rows:
-    """The steps of the expert, and how many motions and other instructions each is made of."""
+    """The steps of the expert, and how many motions and other instructions each consists of."""
     from embodichain.lab.gym.expert.program import step_rows
 
     return step_rows(env.cfg.expert)
@@ -112,11 +121,13 @@ def _steps(env: BaseEnv) -> Rows:
 
 def _timing(env: BaseEnv) -> dict[str, Any]:
     limit = env.max_episode_steps
-    endless = limit >= 2**31 - 1
+    episode = f"{limit} control steps = {limit * env.step_dt:g} s"
+    if limit >= _NO_EPISODE_LIMIT:
+        episode = "no limit"
     return {
         "physics step": f"{env.physics_dt:g} s",
         "control step": f"{env.step_dt:g} s ({env.sim_steps_per_control} physics steps)",
-        "episode": "no limit" if endless else f"{limit} control steps = {limit * env.step_dt:g} s",
+        "episode": episode,
         "seed": env.seed_value,
     }
 
@@ -187,7 +198,7 @@ def _ranges(limits: Any) -> Any:
     """One range, or one for each input of an actuator that has several."""
     if len(limits) == 1 or not any(limits):
         return _range(limits[0])
-    return [_range(one) for one in limits]
+    return [_range(input_limits) for input_limits in limits]
 
 
 def _articulations(env: BaseEnv) -> dict[str, Any]:
@@ -205,33 +216,43 @@ def _drives(env: BaseEnv) -> Iterator[dict[str, Any]]:
     )
 
     for uid, parsed in _articulations(env).items():
-        inertia, speeds, times = joint_inertia(parsed), top_speeds(parsed), time_constants(parsed)
+        inertia = joint_inertia(parsed)
+        speeds = top_speeds(parsed)
+        times = time_constants(parsed)
         for i, name in enumerate(parsed.joint_names):
-            if not math.isnan(times[i]):
-                yield {
-                    "joint": f"{uid}/{name}",
-                    "stiffness": float(parsed.stiffness[i]),
-                    "damping": float(parsed.damping[i]),
-                    "max_effort": _limit(parsed.max_effort[i]),
-                    "inertia": _limit(float(f"{inertia[i]:.3g}")),
-                    "time constant s": _limit(float(f"{times[i]:.3g}")),
-                    "top speed by effort": _limit(float(f"{speeds[i]:.3g}")),
-                    "max_velocity of targets": _limit(parsed.max_velocity[i]),
-                }
+            if math.isnan(times[i]):  # a joint without a drive
+                continue
+            yield {
+                "joint": f"{uid}/{name}",
+                "stiffness": float(parsed.stiffness[i]),
+                "damping": float(parsed.damping[i]),
+                "max_effort": _limit(parsed.max_effort[i]),
+                "inertia": _limit(float(f"{inertia[i]:.3g}")),
+                "time constant s": _limit(float(f"{times[i]:.3g}")),
+                "top speed by effort": _limit(float(f"{speeds[i]:.3g}")),
+                "max_velocity of targets": _limit(parsed.max_velocity[i]),
+            }
 
 
 def _limit(value: float) -> float | str:
-    return float(value) if value < 1e9 else "no limit"
+    return float(value) if value < _NO_LIMIT else "no limit"
 
 
 def _surroundings(env: BaseEnv) -> Rows:
     """Ground, sky, furniture and file of the section ``scene``."""
     cfg = env.sim.sim_config
+    scene = cfg.scene
+    ground: Any = "none"
+    if cfg.has_ground:
+        ground = scene.ground or {"type": "checker"}
     parts = {
-        name: getattr(cfg.scene, name) for name in ("fpath", "sky", "pedestal", "table", "terrain")
+        "fpath": scene.fpath,
+        "sky": scene.sky,
+        "pedestal": scene.pedestal,
+        "table": scene.table,
+        "terrain": scene.terrain,
+        "ground": ground,
     }
-    ground = cfg.scene.ground
-    parts["ground"] = (ground or {"type": "checker"}) if cfg.has_ground else "none"
     return [
         {"what": name, "params": _flow(value)} for name, value in parts.items() if value is not None
     ]
@@ -273,27 +294,34 @@ def _attached(env: BaseEnv) -> Rows:
             "attached": f"{uid}/{name}",
             "on": f"{uid}/{cfg.to}",
             "file": cfg.fpath,
-            "joints": ", ".join(n for n in parsed.joint_names if n.startswith(f"{name}/")),
-            "controls": ", ".join(n for n in parsed.control_names if n.startswith(f"{name}/")),
+            "joints": _names_under(name, parsed.joint_names),
+            "controls": _names_under(name, parsed.control_names),
         }
         for uid, parsed in _articulations(env).items()
         for name, cfg in getattr(parsed.cfg, "attach", {}).items()
     ]
 
 
+def _names_under(prefix: str, names: Iterable[str]) -> str:
+    """The names that begin with a file's prefix, with commas."""
+    return ", ".join(name for name in names if name.startswith(f"{prefix}/"))
+
+
 def _self_collision(env: BaseEnv) -> Rows:
     """Which links of each robot and articulation collide with each other."""
-    found = {uid: parsed.self_collision for uid, parsed in _articulations(env).items()}
-    return [
-        {
-            "entity": uid,
-            "links collide": one.rule,
-            "overlap at the start": _pairs((*one.overlapping, *one.siblings)),
-            "excluded": _pairs(one.excluded),
-            "included": _pairs(one.included),
-        }
-        for uid, one in found.items()
-    ]
+    rows = []
+    for uid, parsed in _articulations(env).items():
+        collision = parsed.self_collision
+        rows.append(
+            {
+                "entity": uid,
+                "links collide": collision.rule,
+                "overlap at the start": _pairs([*collision.overlapping, *collision.siblings]),
+                "excluded": _pairs(collision.excluded),
+                "included": _pairs(collision.included),
+            }
+        )
+    return rows
 
 
 def _pairs(pairs: Iterable[tuple[str, str]]) -> str:
@@ -301,11 +329,15 @@ def _pairs(pairs: Iterable[tuple[str, str]]) -> str:
 
 
 def _notes(env: BaseEnv) -> Rows:
-    """Changes to robots' files in compilation, and what was left out of them."""
-    parsed = _articulations(env).items()
-    notes = [{"entity": uid, "note": note} for uid, file in parsed for note in file.all_notes]
-    notes += [{"entity": uid, "note": hull.text} for uid, file in parsed for hull in file.hulls]
-    return notes + [{"entity": "", "note": note} for note in env.sim.scene.notes]
+    """Changes to robots' files in compilation, and parts of them that were left out."""
+    articulations = _articulations(env)
+    rows = []
+    for uid, parsed in articulations.items():
+        rows += [{"entity": uid, "note": note} for note in parsed.all_notes]
+    for uid, parsed in articulations.items():
+        rows += [{"entity": uid, "note": hull.text} for hull in parsed.hulls]
+    rows += [{"entity": "", "note": note} for note in env.sim.scene.notes]
+    return rows
 
 
 def _poses(env: BaseEnv) -> Rows:
@@ -323,13 +355,20 @@ def _poses(env: BaseEnv) -> Rows:
 
 def _qpos(env: BaseEnv) -> Rows:
     """The position of each joint at a reset, before reset events."""
-    return [
-        {"entity": uid, "joint": name, "qpos": float(qpos), "lower": float(low), "upper": float(up)}
-        for uid, parsed in _articulations(env).items()
-        for name, qpos, (low, up) in zip(
-            parsed.joint_names, parsed.init_qpos, parsed.qpos_limits, strict=True
-        )
-    ]
+    rows = []
+    for uid, parsed in _articulations(env).items():
+        for i, name in enumerate(parsed.joint_names):
+            lower, upper = parsed.qpos_limits[i]
+            rows.append(
+                {
+                    "entity": uid,
+                    "joint": name,
+                    "qpos": float(parsed.init_qpos[i]),
+                    "lower": float(lower),
+                    "upper": float(upper),
+                }
+            )
+    return rows
 
 
 # -- spaces and terms ------------------------------------------------------------------------------
@@ -358,17 +397,19 @@ def _bound(values: Any) -> Any:
     first = float(np.ravel(values)[0])
     if not math.isfinite(first):
         return str(first)
-    return first if np.all(values == first) else [float(value) for value in np.ravel(values)]
+    if np.all(values == first):
+        return first
+    return [float(value) for value in np.ravel(values)]
 
 
 def _leaves(space: Any, path: str = "") -> dict[str, Any]:
     """Path -> space of the leaves of a dictionary of spaces."""
     if not hasattr(space, "spaces"):
         return {path: space}
-    found: dict[str, Any] = {}
+    leaves: dict[str, Any] = {}
     for key, child in space.spaces.items():
-        found |= _leaves(child, f"{path}/{key}" if path else key)
-    return found
+        leaves |= _leaves(child, f"{path}/{key}" if path else key)
+    return leaves
 
 
 def _sensors(env: BaseEnv) -> Rows:
@@ -376,8 +417,15 @@ def _sensors(env: BaseEnv) -> Rows:
     for uid, cfg in env.cfg.sensors.items():
         values = _set_fields(cfg)
         values.pop("uid", None)
-        kind, reads = values.pop("sensor_type", ""), ", ".join(cfg.readings())
-        rows.append({"sensor": uid, "type": kind, "reads": reads, "params": _flow(values)})
+        sensor_type = values.pop("sensor_type", "")
+        rows.append(
+            {
+                "sensor": uid,
+                "type": sensor_type,
+                "reads": ", ".join(cfg.readings()),
+                "params": _flow(values),
+            }
+        )
     return rows
 
 
@@ -386,13 +434,15 @@ def _terms(env: BaseEnv, section: str) -> Rows:
     shapes = _shapes(env, section)
     rows = []
     for name, cfg in getattr(env.cfg, section).items():
-        values = {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
+        values = {field.name: getattr(cfg, field.name) for field in dataclasses.fields(cfg)}
         if section == "terminations":
             values["kind"] = cfg.ends_by
-        func, params = values.pop("func"), values.pop("params")
+        func = values.pop("func")
+        params = values.pop("params")
         row = {"term": name}
         row["func"] = func if isinstance(func, str) else f"{func.__module__}:{func.__qualname__}"
-        row |= {"shape": shapes[name]} if name in shapes else {}
+        if name in shapes:
+            row["shape"] = shapes[name]
         for key, value in values.items():
             if value is not None:
                 row[key] = _flow(value) if dataclasses.is_dataclass(value) else value
@@ -400,7 +450,8 @@ def _terms(env: BaseEnv, section: str) -> Rows:
             row.pop("interval_step", None)
         if section == "commands":
             row["columns"] = list(env.command_manager.names(name))
-        rows.append({**row, "params": _flow(params) if params else ""})
+        row["params"] = _flow(params) if params else ""
+        rows.append(row)
     return rows
 
 
@@ -422,8 +473,8 @@ def _set_fields(cfg: Any) -> dict[str, Any]:
     """The fields of a config that were set."""
     if isinstance(cfg, dict):
         return dict(cfg)
-    values = {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
-    return {key: item for key, item in values.items() if item not in (None, False, "")}
+    values = {field.name: getattr(cfg, field.name) for field in dataclasses.fields(cfg)}
+    return {key: value for key, value in values.items() if value not in (None, False, "")}
 
 
 def _flow(value: Any) -> str:
@@ -453,7 +504,7 @@ def _action_vector(env: BaseEnv) -> Rows:
     ]
 
 
-_LONGEST = 64
+_MOST_COLUMNS = 64
 """Columns of an entry that are listed one by one; more of the same kind are one row."""
 
 
@@ -468,7 +519,7 @@ def _observation_vector(env: BaseEnv) -> Rows:
             count = math.prod(spaces[entry].shape)
             columns = manager.column_table(entry, count)
             stop = start + count
-            if count > _LONGEST and len(set(columns)) == 1:
+            if count > _MOST_COLUMNS and len(set(columns)) == 1:
                 label, scale = columns[0]
                 rows.append(_column_of(group, f"{start}:{stop}", entry, label, scale))
             else:

@@ -87,7 +87,8 @@ class TermEntry:
     @property
     def signature(self) -> str:
         """``name(a, b=1)``, with the parameters that configs may set."""
-        return f"{self.name}({', '.join(_short(*item) for item in self.spec.params.items())})"
+        arguments = [_argument(name, parameter) for name, parameter in self.spec.params.items()]
+        return f"{self.name}({', '.join(arguments)})"
 
     def parameters(self) -> list[dict[str, str]]:
         """One row per parameter: name, type with its range, default, description."""
@@ -104,73 +105,112 @@ class TermEntry:
 
     def facts(self) -> dict[str, Any]:
         """Return all its properties, for JSON."""
-        facts: dict[str, Any] = {
+        return {
             "name": self.name,
             "kinds": list(self.kinds),
             "signature": self.signature,
+            "parameters": self.parameters(),
+            "doc": self.doc.text,
+            "example": self.doc.example,
+            "defined": self.spec.place,
         }
-        facts |= {"parameters": self.parameters(), "doc": self.doc.text}
-        return {**facts, "example": self.doc.example, "defined": self.spec.place}
 
 
 def all_entries() -> list[TermEntry]:
     """Every registered term, by section, then by name; one registered twice is one entry."""
-    found: dict[tuple[str, Any], list[TermSpec]] = {}
+    registrations: dict[tuple[str, Any], list[TermSpec]] = {}
     for kind in SECTION_OF:
         for name, spec in sorted(TERMS[kind].items()):
-            found.setdefault((name, spec.func), []).append(spec)
-    return [
-        TermEntry(name, tuple(cast("Kind", s.kind) for s in specs), specs[0], _doc_of(specs[0]))
-        for (name, _), specs in found.items()
-    ]
+            registrations.setdefault((name, spec.func), []).append(spec)
+    entries = []
+    for (name, _), specs in registrations.items():
+        kinds = tuple(cast("Kind", spec.kind) for spec in specs)
+        entries.append(TermEntry(name=name, kinds=kinds, spec=specs[0], doc=_doc_of(specs[0])))
+    return entries
 
 
 def shape_entries() -> list[TermEntry]:
     """Every shape (function of a quantity), in the order of its module."""
     TERMS["reward"]  # shapes are registered with the terms
-    return [TermEntry(name, (), spec, parse_doc(spec.doc)) for name, spec in SHAPES.items()]
+    return [
+        TermEntry(name=name, kinds=(), spec=spec, doc=parse_doc(spec.doc))
+        for name, spec in SHAPES.items()
+    ]
 
 
 def _doc_of(spec: TermSpec) -> TermDoc:
-    return _doc_of_alias(spec) if isinstance(spec, AliasSpec) else parse_doc(spec.doc)
+    if isinstance(spec, AliasSpec):
+        return _doc_of_alias(spec)
+    return parse_doc(spec.doc)
 
 
 def _doc_of_alias(spec: AliasSpec) -> TermDoc:
     """Describe an alias by the docstrings of its target and shapes."""
     docs = [parse_doc(part.doc) for part in spec.parts]
-    first: dict[str, Any] = yaml.safe_load(docs[0].example)
-    params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
-    for name, (part, key) in spec.exposed.items() if not params else ():
-        written = first.get("params", {})
-        given = {meant: written[key] for key, meant in spec.target.written(written).items()}
-        if part:
-            shape = yaml.safe_load(docs[part].example)["shape"]
-            given = _parameters_of(shape, spec.steps[part - 1])
-        if key in given:
-            params[name] = given[key]
-    example = {k: v for k, v in first.items() if k not in ("shape", "weight", "params")}
-    example["func"] = spec.name
-    if params:
-        example["params"] = params
-    text = yaml.safe_dump(example, default_flow_style=True, sort_keys=False, width=10_000)
-    shown = docs[: 1 + len(spec.steps)]
+    target_and_shapes = docs[: 1 + len(spec.steps)]
+    summaries = [doc.summary for doc in target_and_shapes]
     return TermDoc(
         summary=f"{spec.doc} {docs[0].summary}",
-        text="\n\n".join([spec.doc, *(doc.summary for doc in shown)]),
+        text="\n\n".join([spec.doc, *summaries]),
         params={
             name: spec.texts.get(name) or docs[part].params.get(key, "")
             for name, (part, key) in spec.exposed.items()
         },
-        example=text.strip(),
+        example=_example_of_alias(spec, docs),
     )
 
 
-def _parameters_of(written: Any, shape: TermSpec) -> dict[str, Any]:
-    """Parameters of one shape in an example's `shape`."""
-    for step in written if isinstance(written, list) else [written]:
-        given = step.get(shape.name) if isinstance(step, dict) else None
-        if given is not None:
-            return given if isinstance(given, dict) else {next(iter(shape.params)): given}
+def _example_of_alias(spec: AliasSpec, docs: Sequence[TermDoc]) -> str:
+    """YAML that declares an alias: its target's example under its name, with its parameters.
+
+    Args:
+        spec: The alias.
+        docs: The docstrings of its parts.
+    """
+    target_example: dict[str, Any] = yaml.safe_load(docs[0].example)
+    params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
+    if not params:
+        params = _params_from_parts(spec, docs, target_example)
+    # The alias has the shape already; its parameters have names of their own.
+    example = {
+        key: value
+        for key, value in target_example.items()
+        if key not in ("shape", "weight", "params")
+    }
+    example["func"] = spec.name
+    if params:
+        example["params"] = params
+    text = yaml.safe_dump(example, default_flow_style=True, sort_keys=False, width=10_000)
+    return text.strip()
+
+
+def _params_from_parts(
+    spec: AliasSpec, docs: Sequence[TermDoc], target_example: dict[str, Any]
+) -> dict[str, Any]:
+    """The values that the examples of an alias's target and shapes have for its parameters."""
+    target_params = target_example.get("params", {})
+    meanings = spec.target.written(target_params)
+    target_values = {meaning: target_params[key] for key, meaning in meanings.items()}
+    params: dict[str, Any] = {}
+    for name, (part, key) in spec.exposed.items():
+        values = target_values
+        if part > 0:  # part 0 is the target, the others are shapes
+            shape_example = yaml.safe_load(docs[part].example)["shape"]
+            values = _shape_params(shape_example, spec.steps[part - 1])
+        if key in values:
+            params[name] = values[key]
+    return params
+
+
+def _shape_params(shape_example: Any, shape: TermSpec) -> dict[str, Any]:
+    """Parameters of one shape in an example's `shape`, which is one step or a list of steps."""
+    steps = shape_example if isinstance(shape_example, list) else [shape_example]
+    for step in steps:
+        value = step.get(shape.name) if isinstance(step, dict) else None
+        if isinstance(value, dict):
+            return value
+        if value is not None:  # a shape with one parameter: `linear: 2.0`
+            return {next(iter(shape.params)): value}
     return {}
 
 
@@ -181,17 +221,18 @@ def find_entries(name: str) -> list[TermEntry]:
         ConfigError: If there is none; names the closest.
     """
     entries = [*all_entries(), *shape_entries()]
-    found = [entry for entry in entries if entry.name == name]
-    if not found:
+    matching_entries = [entry for entry in entries if entry.name == name]
+    if not matching_entries:
         hint = did_you_mean(name, [entry.name for entry in entries])
         raise ConfigError(f"no term is called '{name}'.{hint} `embodichain list terms` lists them.")
-    return found
+    return matching_entries
 
 
-def _short(name: str, parameter: inspect.Parameter) -> str:
+def _argument(name: str, parameter: inspect.Parameter) -> str:
     """``name`` if the parameter is required, else ``name=default``."""
-    required = parameter.default is inspect.Parameter.empty
-    return name if required else f"{name}={parameter.default}"
+    if parameter.default is inspect.Parameter.empty:
+        return name
+    return f"{name}={parameter.default}"
 
 
 def _default(parameter: inspect.Parameter) -> str:
@@ -201,7 +242,9 @@ def _default(parameter: inspect.Parameter) -> str:
         return ""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
-    return str(list(value)) if isinstance(value, tuple) else str(value)
+    if isinstance(value, tuple):
+        return str(list(value))
+    return str(value)
 
 
 # -- docstrings ------------------------------------------------------------------------------------
@@ -210,15 +253,16 @@ def _default(parameter: inspect.Parameter) -> str:
 @cache
 def parse_doc(doc: str) -> TermDoc:
     """Parse a docstring, as `inspect.getdoc` returns it."""
-    parts: dict[str, list[str]] = {"": []}
+    sections: dict[str, list[str]] = {"": []}
     current = ""
     for line in doc.splitlines():
-        if (found := _SECTION.match(line)) is not None:
-            current = found[1]
-            parts.setdefault(current, [])
+        header = _SECTION.match(line)
+        if header is not None:
+            current = header[1]
+            sections.setdefault(current, [])
         else:
-            parts[current].append(line)
-    blocks = re.split(r"\n\s*\n", "\n".join(parts[""]).strip("\n"))
+            sections[current].append(line)
+    blocks = re.split(r"\n\s*\n", "\n".join(sections[""]).strip("\n"))
     # Indented paragraphs (formulas, lists) keep their lines.
     paragraphs = [
         block if re.match(r"\s|[*-] ", block) else " ".join(block.split())
@@ -228,30 +272,36 @@ def parse_doc(doc: str) -> TermDoc:
     return TermDoc(
         summary=paragraphs[0] if paragraphs else "",
         text="\n\n".join(paragraphs),
-        params=_entries(parts.get("Args", [])),
-        example=" ".join(" ".join(parts.get("Example", [])).split()).strip("`"),
+        params=_entries(sections.get("Args", [])),
+        example=" ".join(" ".join(sections.get("Example", [])).split()).strip("`"),
     )
 
 
 def _entries(lines: list[str]) -> dict[str, str]:
     """``name: text`` entries; deeper indented lines continue the one before."""
-    found: dict[str, str] = {}
+    descriptions: dict[str, str] = {}
     name = ""
     for line in textwrap.dedent("\n".join(lines)).splitlines():
         entry = _ENTRY.match(line)
         if entry is not None:
             name = config_word(entry[1])
-            found[name] = entry[2].strip()
+            descriptions[name] = entry[2].strip()
         elif name and line.strip():
-            found[name] = f"{found[name]} {line.strip()}"
-    return found
+            descriptions[name] += f" {line.strip()}"
+    return descriptions
 
 
 def _description(hint: Any) -> str:
     """The description of a type, which serves every parameter of that type."""
-    parts = [*getattr(hint, "__metadata__", ()), *map(_description, get_args(hint))]
-    found = (p if isinstance(p, str) else getattr(p, "description", None) for p in parts)
-    return next((text for text in found if text), "")
+    for part in getattr(hint, "__metadata__", ()):
+        text = part if isinstance(part, str) else getattr(part, "description", None)
+        if text:
+            return text
+    for argument in get_args(hint):
+        text = _description(argument)
+        if text:
+            return text
+    return ""
 
 
 # -- types in words -------------------------------------------------------------------------------
@@ -284,9 +334,12 @@ def type_words(hint: Any) -> str:
     """
     metadata: list[Any] = []
     if get_origin(hint) is Annotated:
-        hint, *outer = get_args(hint)
-        metadata = [part for item in outer for part in getattr(item, "metadata", [item])]
-    origin, arguments = get_origin(hint), get_args(hint)
+        hint, *annotations = get_args(hint)
+        for annotation in annotations:
+            # A pydantic Field has constraints in its own `metadata`.
+            metadata += getattr(annotation, "metadata", [annotation])
+    origin = get_origin(hint)
+    arguments = get_args(hint)
     name = getattr(hint, "__name__", str(hint))
     if origin in (Union, types.UnionType):
         words = " or ".join(dict.fromkeys(map(type_words, arguments)))
@@ -298,35 +351,51 @@ def type_words(hint: Any) -> str:
         words = f"map with {', '.join(field.name for field in dataclasses.fields(hint))}"
     else:
         words = _NAMED.get(name) or _WORDS.get(hint, name)
-    found = [(sign, getattr(part, key, None)) for part in metadata for key, sign in _LIMITS.items()]
-    limits = " and ".join(f"{sign} {value:g}" for sign, value in found if value is not None)
-    return f"{words} {limits}".strip()
+    return f"{words} {_limits(metadata)}".strip()
+
+
+def _limits(metadata: Sequence[Any]) -> str:
+    """The limits of a number: ``> 0 and <= 1``; empty without one."""
+    limits = []
+    for constraint in metadata:
+        for key, sign in _LIMITS.items():
+            value = getattr(constraint, key, None)
+            if value is not None:
+                limits.append(f"{sign} {value:g}")
+    return " and ".join(limits)
 
 
 def _container(origin: Any, arguments: tuple[Any, ...], metadata: list[Any]) -> str:
     """Describe a list or a map; pairs with a further check are bounds."""
-    item = type_words(arguments[0]) if arguments else "anything"
     if issubclass(origin, Mapping):
         return f"map of {type_words(arguments[-1])}" if arguments else "map"
     if not issubclass(origin, Iterable):
         return str(origin.__name__)
-    lengths = {
-        key: value
-        for part in metadata
-        for key in ("min_length", "max_length")
-        if (value := getattr(part, key, None)) is not None
-    }
-    least = lengths.get("min_length")
-    count = least if least == lengths.get("max_length") else None
+    item = type_words(arguments[0]) if arguments else "anything"
+    min_length = _last_of(metadata, "min_length")
+    max_length = _last_of(metadata, "max_length")
+    length = min_length if min_length == max_length else None
     if origin is tuple and arguments and arguments[-1] is not Ellipsis:
-        if len(set(map(str, arguments))) > 1:
+        has_unlike_items = len(set(map(str, arguments))) > 1
+        if has_unlike_items:
             return f"[{', '.join(map(type_words, arguments))}]"
-        count = len(arguments)
-    if count is None:
-        return f"list of {item}" + (f", at least {least}" if least else "")
-    if count == 2 and any(hasattr(part, "func") for part in metadata):
+        length = len(arguments)
+    if length is None:
+        return f"list of {item}, at least {min_length}" if min_length else f"list of {item}"
+    has_check = any(hasattr(constraint, "func") for constraint in metadata)
+    if length == 2 and has_check:
         return "[low, high]" if item == "number" else f"[low, high], each {item}"
-    return f"{count} {item.replace('number', 'numbers', 1)}"
+    return f"{length} {item.replace('number', 'numbers', 1)}"
+
+
+def _last_of(metadata: Sequence[Any], key: str) -> int | None:
+    """The last value of a constraint, which replaces those before it; None without one."""
+    last = None
+    for constraint in metadata:
+        value: int | None = getattr(constraint, key, None)
+        if value is not None:
+            last = value
+    return last
 
 
 # -- the page docs/terms.md -----------------------------------------------------------------------
@@ -335,7 +404,7 @@ _BUILTIN = "embodichain."
 _QUANTITIES = (
     "Serve observations, rewards, terminations and metrics, except where a line says otherwise."
 )
-_OTHERS = """\
+_OTHER_NAMES = """\
 `embodichain show term NAME` lists the parameters; those in capitals have another name than in the
 term."""
 
@@ -343,33 +412,58 @@ term."""
 def catalogue() -> str:
     """Return the page. Terms of other packages are not on it."""
     head = resources.files("embodichain.cli") / "templates" / "terms.md.tmpl"
-    entries = [e for e in all_entries() if e.spec.func.__module__.startswith(_BUILTIN)]
-    aliases = [e for e in entries if isinstance(e.spec, AliasSpec) and not e.spec.makers]
-    described = [e for e in entries if e not in aliases]
-    values = [e for e in described if set(e.kinds) & set(VALUE_KINDS)]
-    lines = [head.read_text(encoding="utf-8")]
-    parts: dict[str, list[TermEntry]] = {"quantities": values, "shapes": shape_entries()}
+    entries = [entry for entry in all_entries() if _is_builtin(entry)]
+    aliases = [entry for entry in entries if _is_plain_alias(entry)]
+    described = [entry for entry in entries if not _is_plain_alias(entry)]
+
+    chapters: dict[str, list[TermEntry]] = {
+        "quantities": [entry for entry in described if set(entry.kinds) & set(VALUE_KINDS)],
+        "shapes": shape_entries(),
+    }
     for kind, section in SECTION_OF.items():
         if kind not in VALUE_KINDS:
-            parts[section] = [e for e in described if kind in e.kinds]
-    lines += [f"* [{title}](#{title}): {len(found)}" for title, found in parts.items()]
-    lines += [f"* [other names](#other-names): {len(aliases)}"]
-    for title, found in parts.items():
-        lines += ["", f"## {title}", "", *([_QUANTITIES, ""] if title == "quantities" else [])]
-        lines += [line for entry in found for line in _term(entry)]
-    lines += ["", "## other names", "", _OTHERS, ""]
-    meanings = [e.spec.doc.removeprefix("Alias of ").replace("``", "`") for e in aliases]
-    rows = [
-        (f"`{entry.name}`", entry.sections, meaning.rstrip("."))
-        for entry, meaning in zip(aliases, meanings, strict=True)
-    ]
-    lines += _rows(("name", "for", "alias of"), rows)
+            chapters[section] = [entry for entry in described if kind in entry.kinds]
+
+    lines = [head.read_text(encoding="utf-8")]
+    for title, members in chapters.items():
+        lines.append(f"* [{title}](#{title}): {len(members)}")
+    lines.append(f"* [other names](#other-names): {len(aliases)}")
+    for title, members in chapters.items():
+        lines += ["", f"## {title}", ""]
+        if title == "quantities":
+            lines += [_QUANTITIES, ""]
+        for entry in members:
+            lines += _describe_term(entry)
+    lines += ["", "## other names", "", _OTHER_NAMES, ""]
+    lines += _alias_table(aliases)
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
-def _term(entry: TermEntry) -> Iterator[str]:
+def _is_builtin(entry: TermEntry) -> bool:
+    return entry.spec.func.__module__.startswith(_BUILTIN)
+
+
+def _is_plain_alias(entry: TermEntry) -> bool:
+    """Whether a term is no more than another name of one with its shapes."""
+    return isinstance(entry.spec, AliasSpec) and not entry.spec.makers
+
+
+def _alias_table(aliases: Sequence[TermEntry]) -> Iterator[str]:
+    """A row for each alias: its name, its sections, its meaning."""
+    rows = []
+    for entry in aliases:
+        meaning = entry.spec.doc.removeprefix("Alias of ").replace("``", "`").rstrip(".")
+        rows.append((f"`{entry.name}`", entry.sections, meaning))
+    return _rows(("name", "for", "alias of"), rows)
+
+
+def _describe_term(entry: TermEntry) -> Iterator[str]:
+    """The lines about one term: header, description, table of parameters, example."""
     yield from (f"### {entry.name}", "", entry.doc.text, "")
-    notes = [f"For {entry.sections}."] if set() < set(entry.kinds) < set(VALUE_KINDS) else []
+    notes = []
+    serves_some_sections = set() < set(entry.kinds) < set(VALUE_KINDS)
+    if serves_some_sections:
+        notes.append(f"For {entry.sections}.")
     if entry.spec.func.__module__.startswith("embodichain.compat."):
         notes.append("With the name and parameters of EmbodiChain's.")
     if notes:
@@ -384,7 +478,8 @@ def _term(entry: TermEntry) -> Iterator[str]:
         for row in entry.parameters()
     ]
     if rows:
-        yield from (*_rows(("parameter", "type", "default", "what"), rows), "")
+        yield from _rows(("parameter", "type", "default", "what"), rows)
+        yield ""
     if entry.doc.example:
         yield from (f"Example: `{entry.doc.example}`", "")
 

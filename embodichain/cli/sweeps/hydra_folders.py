@@ -1,6 +1,6 @@
 """Folders that keys of Hydra itself name: `hydra.run.dir`, `hydra.sweep.dir`, `hydra.sweep.subdir`.
 
-They may refer to other keys; what such a reference cannot be is said before anything is made.
+They may refer to other keys; a reference that is not a name is refused before anything is made.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ def folder_named(config: DictConfig, key: str) -> str:
         key: The key.
 
     Raises:
-        ConfigError: It refers to a key that is not there, or to a map or list.
+        ConfigError: It refers to a key that does not exist, or to a map or list.
     """
-    for name in _REFERENCE.findall(_written(config, key)):
+    for name in _REFERENCE.findall(_unresolved(config, key)):
         value = OmegaConf.select(config, name, throw_on_resolution_failure=False)
         if isinstance(value, DictConfig | ListConfig):
             kind = "map" if isinstance(value, DictConfig) else "list"
             message = f"${{{name}}} is a {kind}, and a folder's name is text"
-            chosen = name in config.hydra.runtime.choices
-            hint = f"The option's name is ${{hydra.runtime.choices.{name}}}." if chosen else ""
+            hint = ""
+            if name in config.hydra.runtime.choices:  # a config group
+                hint = f"The option's name is ${{hydra.runtime.choices.{name}}}."
             raise ConfigError([Problem(key, message, hint).at(COMMAND_LINE)])
     try:
         return str(OmegaConf.select(config, key, throw_on_missing=True))
@@ -47,7 +48,7 @@ def folder_named(config: DictConfig, key: str) -> str:
 
 def numbers_jobs(config: DictConfig) -> bool:
     """Whether the jobs of a sweep have their numbers as folders, which is the default."""
-    return _written(config, _SUBFOLDER) == "${hydra.job.num}"
+    return _unresolved(config, _SUBFOLDER) == "${hydra.job.num}"
 
 
 def check_subfolders(jobs: Sequence[DictConfig]) -> None:
@@ -59,20 +60,21 @@ def check_subfolders(jobs: Sequence[DictConfig]) -> None:
     Raises:
         ConfigError: A folder cannot be named, or two jobs have the same.
     """
-    first: dict[str, int] = {}
+    first_jobs: dict[str, int] = {}
     for number, config in enumerate(jobs):
         with open_dict(config):  # as Hydra's launchers do
             config.hydra.job.num = number
             config.hydra.job.id = f"job_id_{number}"
         folder = folder_named(config, _SUBFOLDER)
-        if first.setdefault(folder, number) != number:
-            message = f"jobs {first[folder]} and {number} have the same folder, {folder!r}"
+        first_job = first_jobs.setdefault(folder, number)
+        if first_job != number:
+            message = f"jobs {first_job} and {number} have the same folder, {folder!r}"
             hint = "${hydra.job.num} and ${hydra.job.override_dirname} differ in each job."
             raise ConfigError([Problem(_SUBFOLDER, message, hint).at(COMMAND_LINE)])
 
 
-def _written(config: DictConfig, key: str) -> str:
+def _unresolved(config: DictConfig, key: str) -> str:
     """The value of a key before its references are resolved."""
     section, _, name = key.rpartition(".")
-    plain = OmegaConf.to_container(OmegaConf.select(config, section), resolve=False)
-    return str(plain[name]) if isinstance(plain, dict) else ""
+    values = OmegaConf.to_container(OmegaConf.select(config, section), resolve=False)
+    return str(values[name]) if isinstance(values, dict) else ""

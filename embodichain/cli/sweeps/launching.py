@@ -1,4 +1,4 @@
-"""What a launcher of sweeps on a cluster is: `ClusterLauncher`, and `cluster`, which registers one.
+"""`ClusterLauncher`, the base of launchers of sweeps on a cluster; `cluster` registers one.
 
 A package outside names its module with an entry point of the group ``embodichain.launchers``,
 called as the launcher, which is then an option of the group `hydra/launcher` too.
@@ -77,13 +77,19 @@ class ClusterJob:
         sys.path += [path for path in self.paths if path not in sys.path]
         setup_globals()
         Singleton.set_state(self.state)
-        found = self.run(identity)
-        _ = found.return_value  # raises the job's exception
-        return found
+        result = self.run(identity)
+        _ = result.return_value  # raises the job's exception
+        return result
 
     def run(self, identity: str = "") -> JobReturn:
         """Run the job in a process that has Hydra's state; its exception is in the result."""
-        config = _composed(self.context, self.config, self.overrides, self.number, identity)
+        config = _compose(
+            self.context,
+            self.config,
+            self.overrides,
+            number=self.number,
+            identity=identity or str(self.number),
+        )
         HydraConfig.instance().set_config(config)
         return run_job(
             hydra_context=self.context,
@@ -105,13 +111,14 @@ class ClusterLauncher(Launcher):
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
     ) -> None:
         """Called by Hydra before `launch`."""
-        self.context, self.task, self.config = hydra_context, task_function, config
+        self.context = hydra_context
+        self.task = task_function
+        self.config = config
 
     @property
     def verb(self) -> Verb:
         """The verb of the jobs."""
-        found: Verb = self.config.hydra.job.config_name
-        return found
+        return self.config.hydra.job.config_name
 
     @abstractmethod
     def run_jobs(self, jobs: Sequence[ClusterJob], sweep: Path) -> Mapping[int, str]:
@@ -138,28 +145,35 @@ class ClusterLauncher(Launcher):
         sweep = Path(str(self.config.hydra.sweep.dir)).resolve()
         sweep.mkdir(parents=True, exist_ok=True)
         state = Singleton.get_state()
-        jobs = []
-        for number, overrides in enumerate(job_overrides, initial_job_idx):
-            composed = _composed(self.context, self.config, overrides, number, str(number))
-            jobs.append(
-                ClusterJob(
-                    number=number,
-                    overrides=tuple(overrides),
-                    folder=sweep / str(composed.hydra.sweep.subdir),
-                    config=self.config,
-                    context=self.context,
-                    task=self.task,
-                    state=state,
-                    directory=os.getcwd(),
-                    paths=tuple(sys.path),
-                )
-            )
-        done = {job.number: job.run() for job in jobs if is_finished(job.folder, self.verb)}
-        left = [job for job in jobs if job.number not in done]
-        said = self.run_jobs(left, sweep) if left else {}
-        for job in left:
-            done[job.number] = _returned(job, self.verb, said.get(job.number, ""))
-        return [done[job.number] for job in jobs]
+        jobs = [
+            self._make_job(number, overrides, sweep, state)
+            for number, overrides in enumerate(job_overrides, initial_job_idx)
+        ]
+        # A finished job returns at once, with the result that its folder has.
+        results = {job.number: job.run() for job in jobs if is_finished(job.folder, self.verb)}
+        unfinished_jobs = [job for job in jobs if job.number not in results]
+        reasons = self.run_jobs(unfinished_jobs, sweep) if unfinished_jobs else {}
+        for job in unfinished_jobs:
+            reason = reasons.get(job.number, "")
+            results[job.number] = _read_result(job, self.verb, reason)
+        return [results[job.number] for job in jobs]
+
+    def _make_job(
+        self, number: int, overrides: Sequence[str], sweep: Path, state: dict[Any, Any]
+    ) -> ClusterJob:
+        """Compose a job to learn its folder, and put together what another process needs."""
+        config = _compose(self.context, self.config, overrides, number=number, identity=str(number))
+        return ClusterJob(
+            number=number,
+            overrides=tuple(overrides),
+            folder=sweep / str(config.hydra.sweep.subdir),
+            config=self.config,
+            context=self.context,
+            task=self.task,
+            state=state,
+            directory=os.getcwd(),
+            paths=tuple(sys.path),
+        )
 
 
 @dataclass(frozen=True)
@@ -204,23 +218,40 @@ def cluster(
     return decorate
 
 
-def _composed(
-    context: HydraContext, config: DictConfig, overrides: Sequence[str], number: int, identity: str
+def _compose(
+    context: HydraContext,
+    config: DictConfig,
+    overrides: Sequence[str],
+    *,
+    number: int,
+    identity: str,
 ) -> DictConfig:
-    """The config of a job."""
-    found = context.config_loader.load_sweep_config(config, list(overrides))
-    with open_dict(found):
-        found.hydra.job.id = identity or str(number)
-        found.hydra.job.num = number
-    return found
+    """Compose the config of a job.
+
+    Args:
+        context: Hydra's loader and callbacks.
+        config: The sweep's config.
+        overrides: The job's overrides.
+        number: Its number in the sweep.
+        identity: The cluster's name of the job.
+    """
+    composed = context.config_loader.load_sweep_config(config, list(overrides))
+    with open_dict(composed):
+        composed.hydra.job.id = identity
+        composed.hydra.job.num = number
+    return composed
 
 
-def _returned(job: ClusterJob, verb: Verb, reason: str) -> JobReturn:
-    """What Hydra's sweepers get for a job that has ended."""
-    found = JobReturn(list(job.overrides), OmegaConf.create(), status=JobStatus.FAILED)
+def _read_result(job: ClusterJob, verb: Verb, reason: str) -> JobReturn:
+    """Return the result of a job that has ended, which its folder has, for Hydra's sweepers."""
+    result = JobReturn(list(job.overrides), OmegaConf.create())
     if is_finished(job.folder, verb):
-        found.status, found.return_value = JobStatus.COMPLETED, objective_in(job.folder)
-    else:
-        message = f"job {job.number} did not finish" + (f": {reason}" if reason else "")
-        found.return_value = JobError(f"{message}; {job.folder}")
-    return found
+        result.status = JobStatus.COMPLETED
+        result.return_value = objective_in(job.folder)
+        return result
+    message = f"job {job.number} did not finish"
+    if reason:
+        message += f": {reason}"
+    result.status = JobStatus.FAILED
+    result.return_value = JobError(f"{message}; {job.folder}")
+    return result

@@ -44,12 +44,20 @@ __all__ = [
 ]
 
 State = Literal["new", "finished", "resumable", "learned", "stopped"]
-_DIFFERS = (
-    *("quiet", "json", "traceback", "output_dir", "resume", "sim", "viewer", "wandb"),
+_MAY_DIFFER = (
+    "quiet",
+    "json",
+    "traceback",
+    "output_dir",
+    "resume",
+    "sim",
+    "viewer",
+    "wandb",
     "trust",
 )
 """Keys that may differ when a job is started again: they change no result."""
 _MOST_NAMED = 4
+"""Differing keys that an error names."""
 _LOGS = ".logs"
 _log = logging.getLogger(__name__)
 
@@ -111,19 +119,20 @@ def enter(
             resolved = resolved.changed(seed=earlier.get("seed"))
         _check_same(folder, earlier, resolved)
         if state == "finished":
-            yield Entered(resolved, True, True, objective_in(folder))
+            objective = objective_in(folder)
+            yield Entered(resolved, goes_on=True, finished=True, objective=objective)
             return
         if state == "stopped":
-            kept = _unused(folder.with_name(f"{folder.name}.earlier"))
-            folder.rename(kept)
-            _log.warning("%s was not finished and has no checkpoint: kept as %s", folder, kept)
+            new_name = _unused_path(folder.with_name(f"{folder.name}.earlier"))
+            folder.rename(new_name)
+            _log.warning("%s was not finished and has no checkpoint: kept as %s", folder, new_name)
             adopt(folder)
             yield Entered(resolved)
             return
         if state == "resumable":
             resolved = resolved.changed(resume=str(folder.resolve()))
         _set_aside(folder)
-        yield Entered(resolved, True)
+        yield Entered(resolved, goes_on=True)
 
 
 def state_in(folder: Path, verb: Verb) -> State:
@@ -160,8 +169,11 @@ def is_finished(folder: Path, verb: Verb) -> bool:
         return status in ("finished", "max_steps")
     if status != "finished":
         return False
-    evaluated = (summary.get("eval") or {}).get("complete")
-    return bool(evaluated) or not (read_config(folder / CONFIG).get("eval") or {}).get("episodes")
+    evaluation = summary.get("eval") or {}
+    if evaluation.get("complete"):
+        return True
+    eval_cfg = read_config(folder / CONFIG).get("eval") or {}
+    return not eval_cfg.get("episodes")
 
 
 def objective_in(folder: Path) -> float | None:
@@ -179,16 +191,16 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """
     path = folder / SUMMARY
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        summary = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
-    return found if isinstance(found, dict) else {}
+    return summary if isinstance(summary, dict) else {}
 
 
 def process_log(sweep: Path, name: str) -> Path:
-    """Return the path of what a job's process wrote, where a launcher keeps that.
+    """Return the path of the output of a job's process, where a launcher keeps it.
 
     Args:
         sweep: The sweep's folder.
@@ -230,17 +242,17 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _owner(stream: TextIO) -> str:
-    """Whose a lock is, in brackets; empty where that is not known."""
+    """The process that has a lock, in brackets; empty where that is not known."""
     pid = platforms.locked_by(stream.fileno())
     if pid is not None:
         return f" (process {pid} on {platform.node()})"
     stream.seek(0)
-    said = stream.read().strip()  # by a process of another machine
-    return f" ({said})" if said else ""
+    note = stream.read().strip()  # by a process of another machine
+    return f" ({note})" if note else ""
 
 
 def _note_owner(stream: TextIO) -> None:
-    """Write into a lock's file whose it is now, for the message of others."""
+    """Write into a lock's file which process has it, for the messages of other processes."""
     with suppress(OSError):  # the lock holds on a full disk, too
         stream.truncate(0)
         stream.write(f"process {os.getpid()} on {platform.node()}\n")
@@ -249,39 +261,45 @@ def _note_owner(stream: TextIO) -> None:
 
 def _check_same(folder: Path, earlier: Mapping[str, Any], resolved: Resolved) -> None:
     """Check that a folder's job is the one with this config."""
-    now: dict[str, Any] = yaml.safe_load(dump_yaml(resolved.tree))
-    before = {key: value for key, value in earlier.items() if key not in _DIFFERS}
-    changed = list(_differences(before, {k: v for k, v in now.items() if k not in _DIFFERS}))
-    if changed:
-        more = f" and {len(changed) - _MOST_NAMED} more" if len(changed) > _MOST_NAMED else ""
-        what = f"{'; '.join(changed[:_MOST_NAMED])}{more}"
-        message = f"{folder} has another job: {what}. Give another hydra.sweep.dir"
-        raise ConfigError([Problem("hydra.sweep.dir", message)])
+    now = yaml.safe_load(dump_yaml(resolved.tree))
+    differences = list(_differences(_relevant_keys(earlier), _relevant_keys(now)))
+    if not differences:
+        return
+    text = "; ".join(differences[:_MOST_NAMED])
+    if len(differences) > _MOST_NAMED:
+        text += f" and {len(differences) - _MOST_NAMED} more"
+    message = f"{folder} has another job: {text}. Give another hydra.sweep.dir"
+    raise ConfigError([Problem("hydra.sweep.dir", message)])
+
+
+def _relevant_keys(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a config on which a job's results depend."""
+    return {key: value for key, value in config.items() if key not in _MAY_DIFFER}
 
 
 def _differences(before: Any, now: Any, path: str = "") -> Iterator[str]:
     """``KEY is A there, B here`` for each value that differs."""
     if isinstance(before, Mapping) and isinstance(now, Mapping):
-        for key in [*before, *(key for key in now if key not in before)]:
-            below = f"{path}.{key}" if path else str(key)
-            yield from _differences(before.get(key), now.get(key), below)
+        for key in dict.fromkeys([*before, *now]):
+            key_path = f"{path}.{key}" if path else str(key)
+            yield from _differences(before.get(key), now.get(key), key_path)
     elif before != now:
         yield f"{path} is {before!r} there, {now!r} here"
 
 
 def _set_aside(folder: Path) -> None:
     """Move files of an evaluation that did not end into a folder of their own."""
-    found = [*folder.glob("rollout.*"), *folder.glob("eval.json")]
-    if not found:
+    evaluation_files = [*folder.glob("rollout.*"), *folder.glob("eval.json")]
+    if not evaluation_files:
         return
-    kept = _unused(folder / "earlier")
-    kept.mkdir()
-    for path in found:
-        shutil.move(path, kept / path.name)
-    _log.warning("%s: files of an evaluation that did not end were moved there", kept)
+    earlier = _unused_path(folder / "earlier")
+    earlier.mkdir()
+    for path in evaluation_files:
+        shutil.move(path, earlier / path.name)
+    _log.warning("%s: files of an evaluation that did not end were moved there", earlier)
 
 
-def _unused(path: Path) -> Path:
+def _unused_path(path: Path) -> Path:
     """The path with the first number for which nothing exists."""
     number = 1
     while path.with_name(f"{path.name}-{number}").exists():

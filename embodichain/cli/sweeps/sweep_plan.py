@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import prod
 from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -37,8 +36,10 @@ __all__ = ["Plan", "composed_for_hydra", "plan_sweep", "swept_keys", "with_sweep
 LAUNCHER = "hydra/launcher"
 _FOLDER = "hydra.sweep.dir"
 _PARAMS = "hydra.sweeper.params"
-_AT_ONCE = "joblib"
-_ONE_BY_ONE = "basic"
+_JOBLIB = "joblib"
+"""The launcher that runs jobs at once on this machine."""
+_BASIC = "basic"
+"""Hydra's own launcher, which runs one job after the other."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Plan:
         keys: Keys with several values.
         launcher: Option of the group `hydra/launcher`.
         jobs: Number of jobs; of a search, of its trials.
-        note: What was decided, as one line; empty if nothing was.
+        note: The decision, as one line; empty if nothing was decided.
     """
 
     overrides: tuple[str, ...]
@@ -64,7 +65,7 @@ class Plan:
     @property
     def is_parallel(self) -> bool:
         """Whether jobs run at once, in other processes."""
-        return self.launcher != _ONE_BY_ONE
+        return self.launcher != _BASIC
 
 
 def with_sweepers_params(verb: Verb, overrides: Sequence[str]) -> list[str]:
@@ -81,10 +82,15 @@ def with_sweepers_params(verb: Verb, overrides: Sequence[str]) -> list[str]:
     """
     lines = list(overrides)
     params = composed_for_hydra(verb, lines).hydra.sweeper.get("params") or {}
-    typed = {line.lstrip("+~").partition("=")[0] for line in lines}
-    rest = {str(key).lstrip("+"): value for key, value in params.items()}
-    found = [readable(f"{key}={value}") for key, value in rest.items() if key not in typed]
-    return [*lines, *found, f"{_PARAMS}=null"] if rest else lines
+    if not params:
+        return lines
+    typed_keys = {line.lstrip("+~").partition("=")[0] for line in overrides}
+    values = {str(key).lstrip("+"): value for key, value in params.items()}
+    for key, value in values.items():
+        if key not in typed_keys:
+            lines.append(readable(f"{key}={value}"))
+    lines.append(f"{_PARAMS}=null")
+    return lines
 
 
 def composed_for_hydra(
@@ -101,10 +107,11 @@ def composed_for_hydra(
         ConfigError: It cannot be composed.
     """
     register_resolvers()  # such as `now`
-    with searched(search_path(lines)[0]), config_loader() as loader:
-        others = [line for line in lines if not line.lstrip("+").startswith(SEARCH_PATH)]
+    places, _ = search_path(lines)
+    other_lines = [line for line in lines if not line.lstrip("+").startswith(SEARCH_PATH)]
+    with searched(places), config_loader() as loader:
         try:
-            return loader.load_configuration(verb, relax(others, loader), mode)
+            return loader.load_configuration(verb, relax(other_lines, loader), mode)
         except COMPOSING as error:
             raise ConfigError(explain(error, loader)) from error
 
@@ -125,35 +132,50 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
         installed = loader.get_group_options(LAUNCHER)
     config = composed_for_hydra(verb, lines)
     cores = all_cores()
-    jobs = _jobs(config, lines)
-    most = min(jobs, _batch(config, jobs))
+    jobs = _count_jobs(config, lines)
+    most_at_once = min(jobs, _batch_size(config, jobs))
     launcher = str(config.hydra.runtime.choices[LAUNCHER])
-    chosen = launcher != _ONE_BY_ONE or any(
-        line.lstrip("+").partition("=")[0] == LAUNCHER for line in lines
-    )
-    sim = first.tree["sim"]
-    alone = (sim["engine"], sim["backend"]) != ("mujoco", "local")
-    alone = alone or first.tree["viewer"]["name"] != "none"
-    if not chosen and not alone and min(cores, most) > 1 and _AT_ONCE in installed:
-        launcher = _AT_ONCE
+    is_chosen = launcher != _BASIC or any(_key_of(line) == LAUNCHER for line in lines)
+    can_be_parallel = min(cores, most_at_once) > 1 and _JOBLIB in installed
+    if can_be_parallel and not is_chosen and not _needs_machine(first):
+        launcher = _JOBLIB
         lines.append(f"{LAUNCHER}={launcher}")
         config = composed_for_hydra(verb, lines)
     note = ""
-    if launcher != _ONE_BY_ONE:
-        at_once, threads = _shares(config, launcher, cores, most)
-        if first.tree["sim"]["num_threads"] == 0 and first.tree["sim"]["engine"] == "mujoco":
+    if launcher != _BASIC:
+        at_once, threads = _divide_cores(config, launcher, cores, most_at_once)
+        sim = first.tree["sim"]
+        if sim["num_threads"] == 0 and sim["engine"] == "mujoco":
             lines.append(f"sim.num_threads={threads}")
         else:
-            threads = int(first.tree["sim"]["num_threads"])
+            threads = int(sim["num_threads"])
         note = _note(jobs, at_once, threads, launcher)
     folder = folder_named(config, _FOLDER)
     if Path(folder).is_file():
         raise ConfigError([Problem(_FOLDER, f"{folder} is a file: name a folder")])
-    quoted = folder.replace("\\", "\\\\").replace("'", "\\'")
-    lines = [line for line in lines if line.lstrip("+").partition("=")[0] != _FOLDER]
-    lines.append(f"{_FOLDER}='{quoted}'")
-    keys = tuple(swept_keys(lines))
-    return Plan(tuple(lines), Path(folder), keys, launcher, jobs, note)
+    quoted_folder = folder.replace("\\", "\\\\").replace("'", "\\'")
+    lines = [line for line in lines if _key_of(line) != _FOLDER]
+    lines.append(f"{_FOLDER}='{quoted_folder}'")
+    return Plan(
+        overrides=tuple(lines),
+        folder=Path(folder),
+        keys=tuple(swept_keys(lines)),
+        launcher=launcher,
+        jobs=jobs,
+        note=note,
+    )
+
+
+def _key_of(override: str) -> str:
+    return override.lstrip("+").partition("=")[0]
+
+
+def _needs_machine(job: Resolved) -> bool:
+    """Whether a job takes the GPU, a cluster or a viewer's port, which jobs cannot share."""
+    sim = job.tree["sim"]
+    if sim["engine"] != "mujoco" or sim["backend"] != "local":
+        return True
+    return job.tree["viewer"]["name"] != "none"
 
 
 def swept_keys(overrides: Sequence[str]) -> list[str]:
@@ -166,34 +188,55 @@ def swept_keys(overrides: Sequence[str]) -> list[str]:
     return [override.key_or_group for override in parsed if override.is_sweep_override()]
 
 
-def _jobs(config: DictConfig, overrides: Sequence[str]) -> int:
+def _count_jobs(config: DictConfig, overrides: Sequence[str]) -> int:
     """Number of jobs: of trials, or of combinations of values."""
     if "n_trials" in config.hydra.sweeper:
         return int(config.hydra.sweeper.n_trials or 1)
     parsed = OverridesParser.create().parse_overrides(list(overrides))
-    sweeps = {o.key_or_group: o for o in parsed}.values()
-    return prod(sum(1 for _ in o.sweep_string_iterator()) for o in sweeps if o.is_discrete_sweep())
+    last_of_key = {override.key_or_group: override for override in parsed}
+    jobs = 1
+    for override in last_of_key.values():
+        if override.is_discrete_sweep():
+            jobs *= len(list(override.sweep_string_iterator()))
+    return jobs
 
 
-def _batch(config: DictConfig, jobs: int) -> int:
+def _batch_size(config: DictConfig, jobs: int) -> int:
     """Number of jobs that the sweeper starts before it waits for results."""
     sweeper = config.hydra.sweeper
     return int(sweeper.get("n_jobs") or sweeper.get("max_batch_size") or jobs)
 
 
-def _shares(config: DictConfig, launcher: str, cores: int, most: int) -> tuple[int, int]:
-    """Jobs at once, and threads of each."""
+def _divide_cores(
+    config: DictConfig, launcher: str, cores: int, most_at_once: int
+) -> tuple[int, int]:
+    """Jobs at once, and threads of each.
+
+    Args:
+        config: A job's config with Hydra's own node.
+        launcher: Option of the group `hydra/launcher`.
+        cores: Of this machine.
+        most_at_once: Jobs that the sweeper has at once.
+    """
     settings = config.hydra.launcher
     if launcher in LAUNCHERS.names():  # on other machines, each with its own number of cores
-        return most, max(1, int(settings.get("cpus", 1)))
-    asked = int(settings.get("n_jobs", cores))
-    workers = asked if asked > 0 else max(1, cores + 1 + asked)  # as joblib counts
-    at_once = min(workers, most)
+        return most_at_once, max(1, int(settings.get("cpus", 1)))
+    workers = int(settings.get("n_jobs", cores))
+    if workers <= 0:  # as joblib counts: -1 is all cores, -2 all but one
+        workers = max(1, cores + 1 + workers)
+    at_once = min(workers, most_at_once)
     return at_once, max(1, cores // at_once)
 
 
 def _note(jobs: int, at_once: int, threads: int, launcher: str) -> str:
-    whole = f"{jobs} jobs" if jobs != 1 else "1 job"
-    each = "every core" if threads == 0 else f"{threads} thread{'s' * (threads > 1)}"
-    at = "" if launcher in LAUNCHERS.names() else f", {at_once} at once"
-    return f"{whole}{at}, {each} of physics in each (sim.num_threads), {LAUNCHER}={launcher}"
+    """One line about the jobs, and the cores of each."""
+    text = "1 job" if jobs == 1 else f"{jobs} jobs"
+    if launcher not in LAUNCHERS.names():
+        text += f", {at_once} at once"
+    if threads == 0:
+        share = "every core"
+    elif threads == 1:
+        share = "1 thread"
+    else:
+        share = f"{threads} threads"
+    return f"{text}, {share} of physics in each (sim.num_threads), {LAUNCHER}={launcher}"

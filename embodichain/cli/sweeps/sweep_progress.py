@@ -9,6 +9,7 @@ import csv
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,9 +26,14 @@ from embodichain.utils.errors import ConfigError
 __all__ = ["JobRow", "job_label", "job_rows", "shown_progress", "table_of"]
 
 PROGRESS = "progress.csv"
-_FIRST_PERIOD, _LAST_PERIOD = 10.0, 60.0
-"""Seconds between two tables, at first and in the end."""
+_SHORTEST_PERIOD_S = 10.0
+"""Time between two tables, at first."""
+_LONGEST_PERIOD_S = 60.0
+"""Time between two tables, in the end."""
+_PERIOD_SHARE = 0.1
+"""Time between two tables, by the time since the sweep began."""
 _MOST_ROWS = 20
+"""Running jobs in a table."""
 _TAIL = 4096
 """Bytes of `progress.csv` that contain its last row."""
 _COLUMNS = {
@@ -61,8 +67,12 @@ def job_label(number: str, overrides: Sequence[str], keys: Sequence[str]) -> str
         overrides: Of the job.
         keys: Keys with several values in the sweep.
     """
-    lines = [shown(str(line)).lstrip("+") for line in overrides]
-    return " ".join([number, *(line for line in lines if line.partition("=")[0] in keys)])
+    words = [number]
+    for override in overrides:
+        word = shown(str(override)).lstrip("+")
+        if word.partition("=")[0] in keys:
+            words.append(word)
+    return " ".join(words)
 
 
 def job_rows(folder: Path, keys: Sequence[str]) -> list[JobRow]:
@@ -72,8 +82,10 @@ def job_rows(folder: Path, keys: Sequence[str]) -> list[JobRow]:
         folder: The sweep's folder.
         keys: Keys with several values in the sweep.
     """
-    found = [path.parent for path in folder.glob(f"*/{CONFIG}") if ".earlier-" not in str(path)]
-    return [_row(path, keys) for path in sorted(found, key=lambda p: (len(p.name), p.name))]
+    configs = [path for path in folder.glob(f"*/{CONFIG}") if ".earlier-" not in str(path)]
+    folders = [path.parent for path in configs]
+    folders.sort(key=lambda path: (len(path.name), path.name))  # 10 after 9
+    return [_read_row(path, keys) for path in folders]
 
 
 def table_of(rows: Sequence[JobRow], jobs: int) -> str:
@@ -83,18 +95,19 @@ def table_of(rows: Sequence[JobRow], jobs: int) -> str:
         rows: Of the jobs that have begun.
         jobs: Number of jobs of the sweep.
     """
-    states = [row.state for row in rows]
-    waiting = max(jobs - len(rows), 0)
-    counts = [f"{states.count(state)} {state}" for state in dict.fromkeys(states)]
-    lines = ["jobs: " + ", ".join([*counts, *([f"{waiting} waiting"] if waiting else [])])]
+    counts = [f"{count} {state}" for state, count in Counter(row.state for row in rows).items()]
+    if jobs > len(rows):
+        counts.append(f"{jobs - len(rows)} waiting")
+    lines = [f"jobs: {', '.join(counts)}"]
     running = [row for row in rows if row.state == "running"]
-    width = max((len(row.label) for row in running[:_MOST_ROWS]), default=0)
-    for row in running[:_MOST_ROWS]:
+    table = running[:_MOST_ROWS]
+    width = max((len(row.label) for row in table), default=0)
+    for row in table:
         facts = [f"{name} {_text(name, value)}" for name, value in row.numbers.items()]
-        label = f"[{row.label}]".ljust(width + 2)
+        label = f"[{row.label}]".ljust(width + len("[]"))
         lines.append(f"  {label}  {'  '.join(facts)}".rstrip())
-    if len(running) > _MOST_ROWS:
-        lines.append(f"  and {len(running) - _MOST_ROWS} more")
+    if len(running) > len(table):
+        lines.append(f"  and {len(running) - len(table)} more")
     return "\n".join(lines) + "\n"
 
 
@@ -111,15 +124,17 @@ def shown_progress(folder: Path, keys: Sequence[str], jobs: int) -> Iterator[Non
     stream = sys.stderr
 
     def show() -> None:
-        period, last = _FIRST_PERIOD, ""
-        begun = time.monotonic()
+        start = time.monotonic()
+        period = _SHORTEST_PERIOD_S
+        previous_table = ""
         while not ended.wait(period):
-            text = table_of(job_rows(folder, keys), jobs)
-            if text != last:
-                stream.write(text)
+            table = table_of(job_rows(folder, keys), jobs)
+            if table != previous_table:
+                stream.write(table)
                 stream.flush()
-            last = text
-            period = min(max(_FIRST_PERIOD, (time.monotonic() - begun) / 10), _LAST_PERIOD)
+            previous_table = table
+            elapsed = time.monotonic() - start
+            period = min(max(_SHORTEST_PERIOD_S, _PERIOD_SHARE * elapsed), _LONGEST_PERIOD_S)
 
     thread = threading.Thread(target=show, name="sweep progress", daemon=True)
     thread.start()
@@ -130,16 +145,22 @@ def shown_progress(folder: Path, keys: Sequence[str], jobs: int) -> Iterator[Non
         thread.join()
 
 
-def _row(folder: Path, keys: Sequence[str]) -> JobRow:
+def _read_row(folder: Path, keys: Sequence[str]) -> JobRow:
+    """Read the state of a job from its folder."""
     try:
         summary = read_summary(folder)
-        lines = yaml.safe_load((folder / "overrides.yaml").read_text(encoding="utf-8")) or []
+        overrides = yaml.safe_load((folder / "overrides.yaml").read_text(encoding="utf-8")) or []
     except (OSError, ConfigError, yaml.YAMLError):  # being written
-        summary, lines = {}, []
+        summary = {}
+        overrides = []
     state = str(summary.get("status", "running"))
     if _is_newer(folder / PROGRESS, folder / SUMMARY):
         state = "running"  # again, after it was interrupted
-    return JobRow(job_label(folder.name, lines, keys), state, _numbers(folder / PROGRESS))
+    return JobRow(
+        label=job_label(folder.name, overrides, keys),
+        state=state,
+        numbers=_read_numbers(folder / PROGRESS),
+    )
 
 
 def _is_newer(path: Path, than: Path) -> bool:
@@ -149,8 +170,8 @@ def _is_newer(path: Path, than: Path) -> bool:
         return False
 
 
-def _numbers(path: Path) -> dict[str, float]:
-    """The last values in a `progress.csv`, which may be being written."""
+def _read_numbers(path: Path) -> dict[str, float]:
+    """The last value of each column in a `progress.csv`, whose last row may be incomplete."""
     try:
         with path.open("rb") as stream:
             header = stream.readline().decode()
@@ -159,16 +180,20 @@ def _numbers(path: Path) -> dict[str, float]:
     except OSError:
         return {}
     names = next(csv.reader(StringIO(header)), [])
-    found: dict[str, float] = {}
+    last_values: dict[str, float] = {}
     for cells in csv.reader(StringIO(tail)):
-        row = dict(zip(names, cells, strict=False)) if len(cells) == len(names) else {}
+        if len(cells) != len(names):  # cut off, at the tail's beginning or at the file's end
+            continue
+        row = dict(zip(names, cells, strict=True))
         for name, column in _COLUMNS.items():
             if row.get(column):
-                found[name] = float(row[column])
-    return {name: found[name] for name in _COLUMNS if name in found}
+                last_values[name] = float(row[column])
+    return {name: last_values[name] for name in _COLUMNS if name in last_values}
 
 
 def _text(name: str, value: float) -> str:
     if name == "success":
         return f"{value:.0%}"
-    return f"{value:.4g}" if name == "return" else f"{value:,.0f}"
+    if name == "return":
+        return f"{value:.4g}"
+    return f"{value:,.0f}"

@@ -30,6 +30,7 @@ PAGE = "report.html"
 _RESULTS = "optimization_results.yaml"
 """The result of a search, which Optuna's sweeper writes."""
 _MOST_CURVES = 10
+"""Groups in the picture of the page: those with the largest objective."""
 
 
 def report_sweep(folder: Path, *, quiet: bool) -> None:
@@ -54,7 +55,7 @@ def report_sweep(folder: Path, *, quiet: bool) -> None:
         return
     print_table(*comparison_table(groups))
     sys.stdout.flush()
-    lines = [*too_few_seeds(groups), *notes, *_best(folder, groups), str(page)]
+    lines = [*too_few_seeds(groups), *notes, *_best_point(folder, groups), str(page)]
     sys.stderr.write("".join(f"{line}\n" for line in lines))
 
 
@@ -88,7 +89,9 @@ def _groups(folder: Path) -> tuple[list[Group], list[str]]:
     """The finished trainings, and notes about those that are left out."""
     from embodichain.learning.evaluation.comparison import group_runs, read_run, trainings_in
 
-    found, notes, seen = [], [], set()
+    runs = []
+    notes = []
+    seen = set()
     for path in trainings_in(folder):
         run = read_run(path)
         if not is_finished(path, "train"):
@@ -97,38 +100,55 @@ def _groups(folder: Path) -> tuple[list[Group], list[str]]:
             notes.append(f"left out: {path} repeats an earlier job")
         else:
             seen.add((run.label, run.seed))
-            found.append(run)
-    return group_runs(found), notes
+            runs.append(run)
+    return group_runs(runs), notes
 
 
-def _result(folder: Path) -> dict[str, Any]:
+def _search_result(folder: Path) -> dict[str, Any]:
     """The result of a search; empty for other sweeps."""
     path = folder / _RESULTS
     try:
-        found = yaml.safe_load(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        result = yaml.safe_load(path.read_text(encoding="utf-8")) if path.is_file() else {}
     except (OSError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
-    return found if isinstance(found, dict) else {}
+    return result if isinstance(result, dict) else {}
 
 
-def _best(folder: Path, groups: Sequence[Group]) -> list[str]:
+def _best_point(folder: Path, groups: Sequence[Group]) -> list[str]:
     """The best point with its objective, if there are several; of a search, also its file."""
+    result = _search_result(folder)
+    best_value = result.get("best_value")
+    if best_value is None:
+        return _best_group(groups)
+    params = shown(result.get("best_params", {}))
+    point = " ".join(f"{key.lstrip('+')}={value}" for key, value in params.items())
+    return [f"best objective {best_value:.4g}: {point}", str(folder / _RESULTS)]
+
+
+def _best_group(groups: Sequence[Group]) -> list[str]:
+    """The group with the largest objective, if there are several."""
     from embodichain.learning.evaluation.comparison import best_group, short_labels
 
-    result = _result(folder)
-    value = result.get("best_value")
-    if value is not None:
-        params = shown(result.get("best_params", {}))
-        point = " ".join(f"{key.lstrip('+')}={value}" for key, value in params.items())
-        return [f"best objective {value:.4g}: {point}", str(folder / _RESULTS)]
     best = best_group(groups)
     if best is None or len(groups) < 2:
         return []
-    found = best.number("objective")
-    label = short_labels(groups)[1][list(groups).index(best)]
-    mean = "-" if found is None else mean_of_seeds(found)
+    objective = best.number("objective")
+    mean = "-" if objective is None else mean_of_seeds(objective)
+    _, labels = short_labels(groups)
+    label = labels[list(groups).index(best)]
     seeds = "1 seed" if len(best.runs) == 1 else f"{len(best.runs)} seeds"
     return [f"best objective {mean}: {label} ({seeds})"]
+
+
+def _largest_objectives(groups: Sequence[Group]) -> list[int]:
+    """The numbers, in order, of the groups whose curves are drawn."""
+    means = {}
+    for i, group in enumerate(groups):
+        objective = group.number("objective")
+        if objective is not None:
+            means[i] = objective.mean
+    largest = sorted(means, key=lambda i: -means[i])[:_MOST_CURVES]
+    return sorted(largest)
 
 
 def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
@@ -138,16 +158,16 @@ def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
     from embodichain.learning.evaluation.plots import curves_svg
 
     title, rows = comparison_table(groups)
-    labels = short_labels(groups)[1]
-    means = {i: x.mean for i, group in enumerate(groups) if (x := group.number("objective"))}
-    drawn = sorted(sorted(means, key=lambda i: -means[i])[:_MOST_CURVES])
-    said = [*too_few_seeds(groups), *notes]
+    _, labels = short_labels(groups)
+    drawn = _largest_objectives(groups)
+    page_notes = [*too_few_seeds(groups), *notes]
     if len(groups) > len(drawn):
-        said.append(f"curves of the {len(drawn)} groups with the largest objective")
+        page_notes.append(f"curves of the {len(drawn)} groups with the largest objective")
     try:
         curves = curves_svg([groups[i] for i in drawn], [labels[i] for i in drawn])
-    except ConfigError as error:
-        curves, said = "", [*said, str(error)]
+    except ConfigError as error:  # matplotlib is missing, or curves do not fit together
+        curves = ""
+        page_notes.append(str(error))
     jobs = [
         {
             "job": run.folder.name,
@@ -163,8 +183,8 @@ def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
     return page.render(
         title=title,
         folder=display_path(folder),
-        notes=said,
-        best=_best(folder, groups),
+        notes=page_notes,
+        best=_best_point(folder, groups),
         rows=[{name: number(cell) for name, cell in row.items()} for row in rows],
         curves=curves,
         jobs=jobs,

@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,8 @@ _BACKEND = "loky"
 _ENDED_BY = " ERROR   run: ended by "
 _TAIL = 12
 """Lines of a log that are shown of a job that failed."""
+_SIGNAL_PERIOD_S = 0.2
+"""Time between two looks at whether a signal has come."""
 
 
 class SweepError(EmbodichainError):
@@ -57,32 +59,33 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
         _register(plan.launcher)
     if plan.note and not quiet:
         sys.stderr.write(f"{plan.note}\n{plan.folder}\n")
-    shown = plan.is_parallel and not quiet
     stop = StopFlag()
     try:
-        with (
-            shown_progress(plan.folder, plan.keys, plan.jobs) if shown else nullcontext(),
-            _workers_of_joblib(stop, plan.folder) if plan.launcher == "joblib" else nullcontext(),
-        ):
+        with ExitStack() as stack:
+            if plan.is_parallel and not quiet:
+                stack.enter_context(shown_progress(plan.folder, plan.keys, plan.jobs))
+            if plan.launcher == "joblib":
+                stack.enter_context(_workers_of_joblib(stop, plan.folder))
             job()
     except KeyboardInterrupt as error:
         if plan.folder.is_dir():
-            text = f"{str(error) or 'interrupted'}; {_summed_up(plan, verb)}"
+            text = f"{str(error) or 'interrupted'}; {_count_finished(plan, verb)}"
             raise Interrupted.by(getattr(error, "signal", None), text) from error
         raise
     except Exception as error:
         if stop.stopped is not None:
-            text = f"interrupted ({stop.stopped}); {_summed_up(plan, verb)}"
+            text = f"interrupted ({stop.stopped}); {_count_finished(plan, verb)}"
             raise Interrupted.by(stop.stopped, text) from error
-        failed = _unfinished(plan.folder, verb) if plan.folder.is_dir() else []
-        if not failed or _is_about_hydra(error):
+        unfinished_jobs = _unfinished_jobs(plan.folder, verb) if plan.folder.is_dir() else []
+        if not unfinished_jobs or _is_about_hydra(error):
             raise
-        killed = _killed_worker(error)
-        sys.stderr.write(f"{killed or error}\n")
-        for name in failed:
-            if not killed or _says_why(plan.folder / name):
-                _show(plan.folder, name)
-        raise SweepError(_summed_up(plan, verb)) from error
+        killed_worker = _describe_killed_worker(error)
+        sys.stderr.write(f"{killed_worker or error}\n")
+        for name in unfinished_jobs:
+            # Jobs that only ended with the killed worker have nothing to say.
+            if not killed_worker or _has_logged_error(plan.folder / name):
+                _show_logs(plan.folder, name)
+        raise SweepError(_count_finished(plan, verb)) from error
     if verb == "train":
         from embodichain.cli.sweeps.sweep_report import report_sweep
 
@@ -134,18 +137,20 @@ def _stopping_workers(stop: StopFlag, folder: Path) -> Iterator[None]:
     """
     from joblib.externals.loky import get_reusable_executor
 
-    mark, ended = stop_mark(folder), threading.Event()
+    mark = stop_mark(folder)
     mark.unlink(missing_ok=True)
+    ended = threading.Event()
 
     def watch() -> None:
-        while not ended.wait(0.2):
-            if stop.stopped is not None:
-                folder.mkdir(parents=True, exist_ok=True)
-                mark.touch()
-                for worker in _children():
-                    with suppress(ProcessLookupError):
-                        os.kill(worker, signal.SIGTERM)
-                return
+        while not ended.wait(_SIGNAL_PERIOD_S):
+            if stop.stopped is None:
+                continue
+            folder.mkdir(parents=True, exist_ok=True)
+            mark.touch()
+            for worker in _child_processes():
+                with suppress(ProcessLookupError):
+                    os.kill(worker, signal.SIGTERM)
+            return
 
     thread = threading.Thread(target=watch, name="sweep signals", daemon=True)
     with stop:
@@ -159,13 +164,13 @@ def _stopping_workers(stop: StopFlag, folder: Path) -> Iterator[None]:
             get_reusable_executor().shutdown()
 
 
-def _children() -> list[int]:
+def _child_processes() -> list[int]:
     """The child processes of this one (proc(5)); empty where there is no such file."""
-    found: list[int] = []
+    pids: list[int] = []
     for path in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
         with suppress(OSError):
-            found += map(int, path.read_text().split())
-    return found
+            pids += map(int, path.read_text().split())
+    return pids
 
 
 def _is_about_hydra(error: Exception) -> bool:
@@ -195,46 +200,50 @@ def _register(launcher: str) -> None:
     Plugins.instance().class_name_to_class[hydras_name(entry.launcher)] = entry.launcher
 
 
-def _begun(sweep: Path) -> list[str]:
+def _begun_jobs(sweep: Path) -> list[str]:
     """The names of the folders of the jobs that have begun, in order."""
     names = {path.parent.name for path in sweep.glob(f"*/{CONFIG}")}
     names |= {path.stem for path in process_log(sweep, "0").parent.glob("*.log")}
-    return sorted((n for n in names if ".earlier-" not in n), key=lambda n: (len(n), n))
+    jobs = [name for name in names if ".earlier-" not in name]
+    return sorted(jobs, key=lambda name: (len(name), name))  # 10 after 9
 
 
-def _unfinished(sweep: Path, verb: Verb) -> list[str]:
-    return [name for name in _begun(sweep) if not is_finished(sweep / name, verb)]
+def _unfinished_jobs(sweep: Path, verb: Verb) -> list[str]:
+    return [name for name in _begun_jobs(sweep) if not is_finished(sweep / name, verb)]
 
 
-def _summed_up(plan: Plan, verb: Verb) -> str:
-    begun, unfinished = _begun(plan.folder), _unfinished(plan.folder, verb)
-    done = [name for name in begun if name not in unfinished]
-    names = f": {', '.join(done)}" if done else ""
-    failed = f"; not done: {', '.join(unfinished)}" if unfinished else ""
-    again = f"the same command with hydra.sweep.dir={plan.folder} does the rest"
-    return f"{len(done)} of {plan.jobs} jobs are done{names}{failed}; {again}"
+def _count_finished(plan: Plan, verb: Verb) -> str:
+    """A sentence about finished and unfinished jobs, and how to go on."""
+    unfinished = _unfinished_jobs(plan.folder, verb)
+    finished = [name for name in _begun_jobs(plan.folder) if name not in unfinished]
+    text = f"{len(finished)} of {plan.jobs} jobs are done"
+    if finished:
+        text += f": {', '.join(finished)}"
+    if unfinished:
+        text += f"; not done: {', '.join(unfinished)}"
+    return f"{text}; the same command with hydra.sweep.dir={plan.folder} does the rest"
 
 
-def _killed_worker(error: Exception) -> str:
-    """What joblib's error about a worker that was killed says; empty for another error."""
+def _describe_killed_worker(error: Exception) -> str:
+    """The message about a worker of joblib that was killed; empty for another error."""
     if not any(kind.__name__ == "BrokenProcessPool" for kind in type(error).__mro__):
         return ""
-    found = re.findall(r"[A-Z][A-Z0-9_]+\(-?\d+\)", str(error))
-    how = f" ({', '.join(dict.fromkeys(found))})" if found else ""
+    signals = dict.fromkeys(re.findall(r"[A-Z][A-Z0-9_]+\(-?\d+\)", str(error)))
+    by_signal = f" ({', '.join(signals)})" if signals else ""
     return (
-        f"a worker was killed{how}, perhaps because there was no memory left; "
+        f"a worker was killed{by_signal}, perhaps because there was no memory left; "
         "joblib has ended the other workers with it"
     )
 
 
-def _says_why(folder: Path) -> bool:
+def _has_logged_error(folder: Path) -> bool:
     """Whether a job's log has an error, and did not just end with its process."""
     with suppress(OSError):
         return _ENDED_BY in (folder / "run.log").read_text(encoding="utf-8", errors="replace")
     return False
 
 
-def _show(sweep: Path, name: str) -> None:
+def _show_logs(sweep: Path, name: str) -> None:
     """Write the last lines of a job's logs to stderr."""
     for path in (sweep / name / "run.log", process_log(sweep, name)):
         try:

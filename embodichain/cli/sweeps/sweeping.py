@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Protocol, TextIO
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -64,15 +64,30 @@ __all__ = ["call_hydra", "points", "towards_scores"]
 _RUN_FOLDER = "hydra.run.dir"
 _DIRECTION = "hydra.sweeper.direction"
 _MOST_CHECKED_JOBS = 64
-_ONE_BY_ONE, _AT_ONCE = "BasicLauncher", "JoblibLauncher"
-_NO_SEARCH = "BasicSweeper"
+_BASIC_LAUNCHER = "BasicLauncher"
+_JOBLIB_LAUNCHER = "JoblibLauncher"
+_BASIC_SWEEPER = "BasicSweeper"
+
+
+class RunJob(Protocol):
+    """Runs a checked job, see `embodichain.cli.jobs.job.execute`."""
+
+    def __call__(
+        self,
+        resolved: Resolved,
+        *,
+        folder: Path | None = None,
+        goes_on: bool = False,
+        take_back: Callable[[], None] | None = None,
+    ) -> float | None: ...
 
 
 def call_hydra(
     verb: Verb,
     check: Callable[[Sequence[str]], Resolved],
-    do: Callable[[Resolved, Path | None, bool, Callable[[], None] | None], float | None],
+    run_job: RunJob,
     options: JobOptions,
+    *,
     overrides: Sequence[str],
 ) -> None:
     """Call Hydra's `main` for a verb; its exceptions are raised unchanged.
@@ -80,8 +95,7 @@ def call_hydra(
     Args:
         verb: The verb, ``run`` or ``train``.
         check: Checks the config of one job.
-        do: Runs a job, in the given folder or a new one; the further arguments are whether it
-            continues in this folder, and what undoes the folder of a job that is refused.
+        run_job: Runs a job.
         options: `cfg`, `info`, `multirun`, `package`, `resolve`.
         overrides: As typed.
 
@@ -89,75 +103,111 @@ def call_hydra(
         ConfigError: Mistakes in the config of any job; no job was started.
     """
     plan: Plan | None = None
-    made: list[Path] = []
-    failed: list[Exception] = []
-    gym = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
+    new_folders: list[Path] = []
+    errors: list[Exception] = []
+    has_gym_config = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
     if options.cfg is not None or options.info is not None:
-        if options.cfg is not None and gym:
+        if options.cfg is not None and has_gym_config:
             raise ConfigError("--cfg prints YAML only: embodichain convert prints a gym config")
         composed = compose(overrides, verb)
         if composed.problems:
             raise ConfigError(composed.problems)
     elif options.multirun:
-        _parsed(overrides)
-        refuse_token(overrides)
-        overrides = with_sweepers_params(verb, overrides)
-        jobs = list(points(overrides, _MOST_CHECKED_JOBS))
-        checked = [check(point) for point in jobs]
-        if not numbers_jobs(composed_for_hydra(verb, jobs[0])):
-            check_subfolders([composed_for_hydra(verb, point) for point in jobs])
-        plan = plan_sweep(verb, towards_scores(overrides), checked[0])
+        plan = _check_sweep(verb, check, overrides)
         overrides = plan.overrides
     else:
         check(overrides)
-        made = _check_run_folder(verb, overrides)
+        new_folders = _check_run_folder(verb, overrides)
     keys = plan.keys if plan is not None else ()
     config_dir = chosen_config_dir()
 
     # Pickled by value for the workers of a sweep, with its closure.
     @hydra.main(**VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
-    def job(composed: DictConfig) -> float | None:
+    def job(_: DictConfig) -> float | None:
         with user_configs(config_dir):
-            found = from_hydra()
-            resolved, folder = resolve(found, verb), HydraConfig.get().runtime.output_dir
+            composed = from_hydra()
+            resolved = resolve(composed, verb)
         # In a worker, too, whose streams are its own.
         with degrading_text(), _labelled_lines(_label(keys), json=resolved.root.json):
             if HydraConfig.get().mode == RunMode.MULTIRUN:
-                drawn = found.tree.get("seed") is None
-                if stop_mark(Path(HydraConfig.get().sweep.dir)).exists():
-                    raise JobStoppedError("the sweep was interrupted before this job")
-                with enter(Path(folder), resolved, verb, seed_is_drawn=drawn) as entered:
-                    objective = entered.objective
-                    if not entered.finished:
-                        with _stopping_alone():
-                            objective = do(entered.resolved, Path(folder), entered.goes_on, None)
-                    elif not resolved.root.quiet:
-                        sys.stderr.write(f"finished already: {folder}\n")
-                    _check_objective(objective, verb, resolved)
-                    return objective
+                seed_is_drawn = composed.tree.get("seed") is None
+                return _run_in_sweep(run_job, resolved, verb, seed_is_drawn=seed_is_drawn)
             if HydraConfig.get().run.dir == ".":
-                return do(resolved, None, False, None)
-            before = {entry.name for entry in Path(folder).iterdir()}
-            new = [Path(folder), *made] if made else []
-            undo = partial(take_back, Path(folder), before, new)
+                return run_job(resolved)
             try:
-                return do(resolved, adopt(folder), False, undo)
+                return _run_in_folder(run_job, resolved, new_folders)
             except Exception as error:  # noqa: BLE001  (raised below: Hydra adds a line of its own)
-                failed.append(error)
+                errors.append(error)
                 return None
 
     with config_loader() as loader:
-        relaxed = relax(overrides, loader)
-    program = f"embodichain {verb}"
+        arguments = [*_flags(options), *relax(overrides, loader)]
+    if has_gym_config:
+        arguments.append(WITHOUT_TASK)
     places, _ = search_path(overrides)
-    arguments = [*_flags(options), *relaxed, *([WITHOUT_TASK] * gym)]
-    with searched(places), _process(program, arguments):
+    with searched(places), _process(f"embodichain {verb}", arguments):
         if plan is None:
             job()
-            if failed:
-                raise failed[0]
+            if errors:
+                raise errors[0]
         else:
             run_sweep(plan, verb, job, quiet=options.quiet or options.json)
+
+
+def _check_sweep(
+    verb: Verb, check: Callable[[Sequence[str]], Resolved], overrides: Sequence[str]
+) -> Plan:
+    """Check the jobs of a sweep as far as they are known, and plan it."""
+    _parse(overrides)
+    refuse_token(overrides)
+    overrides = with_sweepers_params(verb, overrides)
+    jobs = list(points(overrides, _MOST_CHECKED_JOBS))
+    checked_jobs = [check(job_overrides) for job_overrides in jobs]
+    if not numbers_jobs(composed_for_hydra(verb, jobs[0])):
+        check_subfolders([composed_for_hydra(verb, job_overrides) for job_overrides in jobs])
+    return plan_sweep(verb, towards_scores(overrides), checked_jobs[0])
+
+
+def _run_in_sweep(
+    run_job: RunJob, resolved: Resolved, verb: Verb, *, seed_is_drawn: bool
+) -> float | None:
+    """Run a job of a sweep in its folder, or what is left of it; return its objective.
+
+    Args:
+        run_job: Runs a job.
+        resolved: The job's config.
+        verb: The verb of the job.
+        seed_is_drawn: Whether the config has no seed of its own.
+    """
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    if stop_mark(Path(HydraConfig.get().sweep.dir)).exists():
+        raise JobStoppedError("the sweep was interrupted before this job")
+    with enter(folder, resolved, verb, seed_is_drawn=seed_is_drawn) as entered:
+        objective = entered.objective
+        if not entered.finished:
+            with _stopping_alone():
+                objective = run_job(entered.resolved, folder=folder, goes_on=entered.goes_on)
+        elif not resolved.root.quiet:
+            sys.stderr.write(f"finished already: {folder}\n")
+        _check_objective(objective, verb, resolved)
+        return objective
+
+
+def _run_in_folder(
+    run_job: RunJob, resolved: Resolved, new_folders: Sequence[Path]
+) -> float | None:
+    """Run the only job of a command in the folder of `hydra.run.dir`.
+
+    Args:
+        run_job: Runs a job.
+        resolved: The job's config.
+        new_folders: Folders that Hydra has made for it, which a refused job does not leave.
+    """
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    names_before = {entry.name for entry in folder.iterdir()}
+    removed = [folder, *new_folders] if new_folders else []
+    undo = partial(take_back, folder, names_before, removed)
+    return run_job(resolved, folder=adopt(folder), take_back=undo)
 
 
 def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> list[Path]:
@@ -167,22 +217,22 @@ def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> list[Path]:
         The folders that will be made, the innermost first.
     """
     config = composed_for_hydra(verb, overrides, RunMode.RUN)
-    typed = any(line.lstrip("+").startswith(f"{_RUN_FOLDER}=") for line in overrides)
+    is_typed = any(line.lstrip("+").startswith(f"{_RUN_FOLDER}=") for line in overrides)
     folder = folder_named(config, _RUN_FOLDER)
-    if not typed and folder == ".":
+    if not is_typed and folder == ".":
         return []  # the run claims one
     try:
-        made = missing_folders(folder)
+        new_folders = missing_folders(folder)
         check_unused(folder)
         Path(folder).mkdir(parents=True, exist_ok=True)
-        for new in made:  # Hydra makes it again, by another name if the name has the time
-            new.rmdir()
+        for path in new_folders:  # Hydra makes it again, by another name if the name has the time
+            path.rmdir()
     except ConfigError as error:
         raise ConfigError([Problem(_RUN_FOLDER, p.message) for p in error.problems]) from error
     except OSError as error:
         message = f"cannot make the run folder {folder}: {error}"
         raise ConfigError([Problem(_RUN_FOLDER, message)]) from error
-    return made
+    return new_folders
 
 
 def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
@@ -199,16 +249,16 @@ def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
     """
     from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 
-    parsed = _parsed(overrides)
-    if _searches(overrides) or any(o.is_interval_sweep() for o in parsed):
-        yield [_first(override) for override in parsed]
+    parsed = _parse(overrides)
+    if _is_search(overrides) or any(override.is_interval_sweep() for override in parsed):
+        yield [_first_value(override) for override in parsed]
         return
     for batch in BasicSweeper.split_arguments(parsed, max_batch_size=most)[:1]:
         yield from (list(job) for job in batch)
 
 
-def _parsed(overrides: Sequence[str]) -> list[Override]:
-    """The overrides in Hydra's form; raises a `ConfigError` that lists the malformed ones."""
+def _parse(overrides: Sequence[str]) -> list[Override]:
+    """Parse overrides with Hydra's parser; raise a `ConfigError` that lists the malformed ones."""
     parser = OverridesParser.create()
     parsed: list[Override] = []
     problems: list[Problem] = []
@@ -228,16 +278,17 @@ def towards_scores(overrides: Sequence[str]) -> list[str]:
     Args:
         overrides: As typed.
     """
-    typed = any(o.lstrip("+").startswith(f"{_DIRECTION}=") for o in overrides)
-    added = [f"{_DIRECTION}=maximize"] if _searches(overrides) and not typed else []
-    return [*overrides, *added]
+    has_direction = any(line.lstrip("+").startswith(f"{_DIRECTION}=") for line in overrides)
+    if _is_search(overrides) and not has_direction:
+        return [*overrides, f"{_DIRECTION}=maximize"]
+    return list(overrides)
 
 
-def _searches(overrides: Sequence[str]) -> bool:
+def _is_search(overrides: Sequence[str]) -> bool:
     return "hydra/sweeper=optuna" in overrides
 
 
-def _first(override: Override) -> str:
+def _first_value(override: Override) -> str:
     """The override with the first value of its sweep."""
     line = override.input_line or ""
     if not override.is_sweep_override():
@@ -250,8 +301,8 @@ def _first(override: Override) -> str:
 
 def _check_objective(objective: float | None, verb: Verb, resolved: Resolved) -> None:
     """Refuse a job without an objective in a search, which has nothing to compare then."""
-    searches = not str(HydraConfig.get().sweeper.get("_target_", "")).endswith(_NO_SEARCH)
-    if objective is not None or not searches:
+    is_search = not _has_target(HydraConfig.get().sweeper, _BASIC_SWEEPER)
+    if objective is not None or not is_search:
         return
     message = "a search compares the objectives of its jobs, and this job has none: "
     if verb != "train":
@@ -270,20 +321,22 @@ def _stopping_alone() -> Iterator[None]:
     try:
         yield
     except Interrupted as error:
-        if str(HydraConfig.get().launcher.get("_target_", "")).endswith(_AT_ONCE):
+        if _has_target(HydraConfig.get().launcher, _JOBLIB_LAUNCHER):
             raise JobStoppedError(str(error)) from error
         raise
+
+
+def _has_target(plugin: DictConfig, name: str) -> bool:
+    """Whether a node of Hydra's config is for the plug-in class of a name."""
+    return str(plugin.get("_target_", "")).endswith(name)
 
 
 def _label(keys: Sequence[str]) -> str | None:
     """``[NUMBER KEY=VALUE ...]`` of a job among several at once, else None."""
     config = HydraConfig.get()
-    alone = str(config.launcher.get("_target_", "")).endswith(_ONE_BY_ONE)
-    if (
-        config.mode != RunMode.MULTIRUN
-        or alone
-        or threading.current_thread() is not threading.main_thread()
-    ):
+    if config.mode != RunMode.MULTIRUN or _has_target(config.launcher, _BASIC_LAUNCHER):
+        return None
+    if threading.current_thread() is not threading.main_thread():
         return None
     return f"[{job_label(str(config.job.num), config.overrides.task, keys)}] "
 
@@ -296,19 +349,22 @@ def _labelled_lines(label: str | None, *, json: bool) -> Iterator[None]:
         label: The label and a blank; None changes nothing.
         json: Whether stdout is JSON; its lines are then not changed.
     """
-    before = sys.stdout, sys.stderr
+    stdout = sys.stdout
+    stderr = sys.stderr
     if label is not None:
-        sys.stderr = _Labelled(sys.stderr, label)
-        sys.stdout = sys.stdout if json else _Labelled(sys.stdout, label)
+        sys.stderr = _LabelledStream(stderr, label)
+        if not json:
+            sys.stdout = _LabelledStream(stdout, label)
     try:
         yield
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
-        sys.stdout, sys.stderr = before
+        sys.stdout = stdout
+        sys.stderr = stderr
 
 
-class _Labelled:
+class _LabelledStream:
     """A text stream that prefixes each line with a label and writes it at once.
 
     It is not a terminal even if `stream` is: bars of several jobs would overwrite each other.
@@ -320,20 +376,21 @@ class _Labelled:
     is_of_sweep = True
 
     def __init__(self, stream: TextIO, label: str) -> None:
-        self._stream, self._label, self._rest = stream, label, ""
+        self._stream = stream
+        self._label = label
+        self._incomplete_line = ""
 
     def write(self, text: str) -> int:
-        *lines, self._rest = (self._rest + text).split("\n")
+        *lines, self._incomplete_line = (self._incomplete_line + text).split("\n")
         if lines:
-            self._stream.write(
-                "".join(f"{self._label}{line}\n" if line else "\n" for line in lines)
-            )
+            labelled = [f"{self._label}{line}\n" if line else "\n" for line in lines]
+            self._stream.write("".join(labelled))
             self._stream.flush()
         return len(text)
 
     def flush(self) -> None:
         """Write the remaining text as a line."""
-        if self._rest:
+        if self._incomplete_line:
             self.write("\n")
 
     def isatty(self) -> bool:
@@ -345,8 +402,11 @@ class _Labelled:
 
 def _flags(options: JobOptions) -> list[str]:
     """Hydra's flags, which its parser accepts only before the overrides."""
-    flags = ["--multirun"] if options.multirun else []
-    flags += ["--resolve"] if options.resolve else []
+    flags = []
+    if options.multirun:
+        flags.append("--multirun")
+    if options.resolve:
+        flags.append("--resolve")
     for name in ("cfg", "package", "info"):
         value = getattr(options, name)
         if value is not None:
@@ -360,9 +420,11 @@ def _process(program: str, arguments: list[str]) -> Iterator[None]:
 
     Hydra's changes to `logging` are undone afterwards.
     """
-    argv, full = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
+    argv = sys.argv
+    full_error = os.environ.get("HYDRA_FULL_ERROR")
     root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
+    handlers = root.handlers[:]
+    level = root.level
     sys.argv = [program, *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"
     try:
@@ -371,7 +433,7 @@ def _process(program: str, arguments: list[str]) -> Iterator[None]:
         sys.argv = argv
         root.handlers[:] = handlers
         root.setLevel(level)
-        if full is None:
+        if full_error is None:
             del os.environ["HYDRA_FULL_ERROR"]
         else:
-            os.environ["HYDRA_FULL_ERROR"] = full
+            os.environ["HYDRA_FULL_ERROR"] = full_error

@@ -13,7 +13,7 @@ from embodichain.config.composition.locate import display_path
 __all__ = ["take_last", "with_paths"]
 
 _WORD = "last"
-_TAKEN = "embodichain.last"
+_PATH_KEY = "embodichain.last"
 """Key of the path in the context of the command."""
 
 
@@ -21,19 +21,21 @@ def take_last(path: Path) -> Path:
     """Say on stderr which run or file ``last`` is, unless the command is quiet.
 
     Args:
-        path: What a verb has found.
+        path: The run or file that a verb has found.
 
     Returns:
         The path.
     """
     context = click.get_current_context(silent=True)
     shown = display_path(path)
+    is_quiet = False
     if context is not None:
-        context = context.find_root()
-        if context.meta.get(_TAKEN) == shown:
+        root = context.find_root()
+        if root.meta.get(_PATH_KEY) == shown:  # said already
             return path
-        context.meta[_TAKEN] = shown
-    if context is None or not {"--quiet", "-q", "quiet=true"} & set(context.obj or ()):
+        root.meta[_PATH_KEY] = shown
+        is_quiet = bool({"--quiet", "-q", "quiet=true"} & set(root.obj or ()))
+    if not is_quiet:
         sys.stderr.write(f"last: {shown}\n")
     return path
 
@@ -41,8 +43,10 @@ def take_last(path: Path) -> Path:
 def with_paths(command: Sequence[str]) -> list[str]:
     """Return a command line with the path that was taken in place of ``last``."""
     context = click.get_current_context(silent=True)
-    path = None if context is None else context.find_root().meta.get(_TAKEN)
+    path = None if context is None else context.find_root().meta.get(_PATH_KEY)
     if path is None:
         return list(command)
-    ends = {f"{key}={_WORD}": f"{key}={path}" for key in ("policy", "resume", "dataset")}
-    return [path if word == _WORD else ends.get(word, word) for word in command]
+    replacements = {_WORD: path}
+    for key in ("policy", "resume", "dataset"):
+        replacements[f"{key}={_WORD}"] = f"{key}={path}"
+    return [replacements.get(word, word) for word in command]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import sys
@@ -25,12 +26,14 @@ __all__ = [
     "wrapped",
 ]
 
-_TEXT = 16
+_FOLDED_WIDTH = 16
 """Smallest width of a column of folded text."""
-_SHORT = 24
+_LONGEST_UNFOLDED = 24
 """Cells up to this width are not folded if there is room: names, numbers with intervals."""
 _PIPE_WIDTH = 100
 """Width of a line without a terminal."""
+_COLUMN_GAP = 3
+"""Blanks that rich puts between two columns of this style of table."""
 
 
 def print_json(value: Mapping[str, Any]) -> None:
@@ -50,10 +53,10 @@ def _plain(value: Any) -> Any:
 
 def _finite(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(k): _finite(v) for k, v in value.items()}
+        return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(v) for v in value]
-    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 
@@ -119,42 +122,56 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
     """Print names and values in two columns; without a terminal no word is cut."""
     rows = [[name, number(value)] for name, value in facts]
-    words = [len(word) for _, value in rows for word in value.split()]
-    _print(title, ["", ""], rows, max(words, default=0))
+    words = " ".join(value for _, value in rows).split()
+    longest_word = max(map(len, words), default=0)
+    _print(title, ["", ""], rows, folded_width=longest_word)
 
 
 def _print(
-    title: str, names: Sequence[str], rows: Sequence[Sequence[str]], folded: int = _TEXT
+    title: str,
+    names: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    folded_width: int = _FOLDED_WIDTH,
 ) -> None:
     """Print a table without trailing blanks; without a terminal as wide as necessary.
 
-    Cells that are short or one word are not folded if the width allows it; others are at least
-    `folded` wide.
+    Columns whose cells are short or one word are not folded if the width allows it; others are at
+    least `folded_width` wide.
     """
     from rich import box
     from rich.table import Table
 
-    how: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False, "title_justify": "left"}
-    table = Table(title=title, show_header=any(names), **how)
-    least = 0
+    table = Table(
+        title=title,
+        show_header=any(names),
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        title_justify="left",
+    )
+    table_width = 0
     for index, name in enumerate(names):
-        texts = [name, *(row[index] for row in rows)]
-        whole = all(len(text) <= _SHORT or " " not in text for text in texts)
-        width = max(map(len, texts)) if whole else folded
-        table.add_column(name, overflow="fold", no_wrap=whole, min_width=width)
-        least += width + 3
+        cells = [name, *(row[index] for row in rows)]
+        is_unfolded = all(_stays_on_one_line(cell) for cell in cells)
+        width = max(map(len, cells)) if is_unfolded else folded_width
+        table.add_column(name, overflow="fold", no_wrap=is_unfolded, min_width=width)
+        table_width += width + _COLUMN_GAP
     for row in rows:
         table.add_row(*row)
     screen = console()
     if not _is_bounded():
-        screen.width = max(screen.width, least)
-    elif least > screen.width:
+        screen.width = max(screen.width, table_width)
+    elif table_width > screen.width:
         for column in table.columns:
-            column.no_wrap, column.min_width = False, None
+            column.no_wrap = False
+            column.min_width = None
     with screen.capture() as capture:
         screen.print(table)
     lines = (line.rstrip() for line in capture.get().splitlines())
     sys.stdout.write("\n".join(lines) + "\n\n")
+
+
+def _stays_on_one_line(cell: str) -> bool:
+    return len(cell) <= _LONGEST_UNFOLDED or " " not in cell
 
 
 def number(value: Any) -> str:
@@ -166,5 +183,5 @@ def number(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:,.0f}" if 1e3 <= abs(value) < 1e12 else f"{value:.4g}"
     if isinstance(value, (list, tuple)):
-        return ", ".join(number(v) for v in value)
+        return ", ".join(map(number, value))
     return str(value)

@@ -20,22 +20,26 @@ _PLAIN = {
     **dict.fromkeys("“”„", '"'),
     **dict(zip("▁▂▃▄▅▆▇█", "_.-=+*##", strict=True)),
 }
-"""What is written for characters that this program prints, where they cannot be encoded."""
-_FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF
-"""Surrogates by which Python represents bytes of a path that are not text."""
+"""Replacements of characters that this program prints, where they cannot be encoded."""
+_BYTE_SURROGATES = range(0xDC80, 0xDCFF + 1)
+"""Surrogates by which Python represents bytes of a path that are not text (PEP 383)."""
 
 
 def _replace(error: UnicodeError) -> tuple[str | bytes, int]:
-    r"""Return what is written for characters that an encoding lacks: plain ones, or ``\xNN``."""
+    r"""Replace a character that an encoding lacks: by a plain one, or by ``\xNN``.
+
+    Returns:
+        The replacement, and the place where encoding goes on.
+    """
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    wrong = error.object[error.start]
+    character = error.object[error.start]
     end = error.start + 1
-    if wrong in _PLAIN:
-        return _PLAIN[wrong], end
-    if _FIRST_BYTE <= ord(wrong) <= _LAST_BYTE:
-        return bytes([ord(wrong) - 0xDC00]), end
-    return wrong.encode("ascii", "backslashreplace"), end
+    if character in _PLAIN:
+        return _PLAIN[character], end
+    if ord(character) in _BYTE_SURROGATES:
+        return bytes([ord(character) - 0xDC00]), end
+    return character.encode("ascii", "backslashreplace"), end
 
 
 codecs.register_error(_HANDLER, _replace)
@@ -44,14 +48,16 @@ codecs.register_error(_HANDLER, _replace)
 @contextmanager
 def degrading_text() -> Iterator[None]:
     """Within it, stdout and stderr take every text: what they cannot encode is written plainly."""
-    streams = [s for s in (sys.stdout, sys.stderr) if isinstance(s, io.TextIOWrapper)]
-    before = [stream.errors for stream in streams]
+    streams = [
+        stream for stream in (sys.stdout, sys.stderr) if isinstance(stream, io.TextIOWrapper)
+    ]
+    handlers = [stream.errors for stream in streams]
     for stream in streams:
         stream.reconfigure(errors=_HANDLER)
     try:
         yield
     finally:
-        for stream, errors in zip(streams, before, strict=True):
+        for stream, errors in zip(streams, handlers, strict=True):
             if not stream.closed:
                 with suppress(OSError):  # reconfigure flushes, and the pipe may be closed
                     stream.reconfigure(errors=errors)

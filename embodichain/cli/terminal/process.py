@@ -116,7 +116,7 @@ def check_text(words: Iterable[str]) -> None:
             hint = "write it in UTF-8"
             if encoding != "utf-8":
                 hint = "set LC_ALL=C.UTF-8, or PYTHONUTF8=1"
-            raise ConfigError(f"{word} is no text in {encoding}: {hint}") from error
+            raise ConfigError(f"{word} is not text in {encoding}: {hint}") from error
 
 
 @contextmanager
@@ -272,22 +272,44 @@ def report(error: BaseException, *, full: bool = False) -> int:
     """
     if full and not isinstance(error, Interrupted):
         sys.stderr.write(hidden("".join(traceback.format_exception(error))))
-    if isinstance(error, KeyboardInterrupt):
-        code, text = INTERRUPTED, str(error) or "interrupted"
-    elif not isinstance(error, ConfigError):
-        said = full or isinstance(error, OSError) and error.errno is not None
-        hint = "" if said else "\n(--traceback shows where it happened)"
-        code = WRONG_INPUT if isinstance(error, RenderError) else FAILED
-        text = f"error: {_line(error)}{hint}"
-    elif len(error.problems) < 2:
-        code, text = FAILED if _is_fault(error) else WRONG_INPUT, f"error: {error}"
-    else:  # one paragraph for each mistake, its lists indented below
-        mistakes = (str(problem).replace("\n", "\n    ") for problem in error.problems)
-        lines = [f"{len(error.problems)} mistakes:", *(f"  {text}" for text in mistakes)]
-        code, text = WRONG_INPUT, "\n".join(lines)
-    sys.stderr.write(f"{hidden(text)}\n")
+    sys.stderr.write(f"{hidden(_message(error, full=full))}\n")
     sys.stderr.flush()
-    return code
+    return _exit_code(error)
+
+
+def _exit_code(error: BaseException) -> int:
+    if isinstance(error, KeyboardInterrupt):
+        return INTERRUPTED
+    if isinstance(error, RenderError):
+        return WRONG_INPUT
+    if not isinstance(error, ConfigError):
+        return FAILED
+    is_one_fault = len(error.problems) < 2 and _is_fault(error)
+    return FAILED if is_one_fault else WRONG_INPUT
+
+
+def _message(error: BaseException, *, full: bool) -> str:
+    """The text about an error: a line, or a paragraph for each mistake.
+
+    Args:
+        error: The exception.
+        full: Whether its traceback is printed.
+    """
+    if isinstance(error, KeyboardInterrupt):
+        return str(error) or "interrupted"
+    if not isinstance(error, ConfigError):
+        text = f"error: {_line(error)}"
+        is_of_system = isinstance(error, OSError) and error.errno is not None
+        if not full and not is_of_system:
+            text += "\n(--traceback shows where it happened)"
+        return text
+    if len(error.problems) < 2:
+        return f"error: {error}"
+    lines = [f"{len(error.problems)} mistakes:"]
+    for problem in error.problems:
+        paragraph = str(problem).replace("\n", "\n    ")  # lists of a mistake below it
+        lines.append(f"  {paragraph}")
+    return "\n".join(lines)
 
 
 def _is_fault(error: BaseException) -> bool:
@@ -310,8 +332,10 @@ def _line(error: BaseException) -> str:
     if isinstance(error, OSError) and error.errno is not None and error.strerror:
         files = [str(name) for name in (error.filename, error.filename2) if name is not None]
         return f"{error.strerror}: {' -> '.join(files)}" if files else error.strerror
-    text = " ".join(" ".join([str(error), *getattr(error, "__notes__", ())]).split())
+    texts = [str(error), *getattr(error, "__notes__", ())]
+    text = " ".join(" ".join(texts).split())
     name = type(error).__name__
-    if type(error).__module__.startswith("embodichain."):
-        return text or name
-    return f"{name}: {text}" if text else name
+    if not text:
+        return name
+    is_ours = type(error).__module__.startswith("embodichain.")
+    return text if is_ours else f"{name}: {text}"

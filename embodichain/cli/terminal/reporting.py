@@ -52,17 +52,21 @@ class ProgressDisplay:
     def __init__(
         self, label: str, total: int | None, unit: str, *, quiet: bool = False, period: float = 0.2
     ) -> None:
-        self.label, self.total, self.unit = label, total, unit
+        self.label = label
+        self.total = total
+        self.unit = unit
         # Of jobs that run at once, the sweep shows the progress in one table.
         self._quiet = quiet or getattr(sys.stderr, "is_of_sweep", False)
         self._live: Live | None = None
-        self._period, self._due = _LINE_PERIOD, time.perf_counter() + _LINE_PERIOD
+        self._period = _LINE_PERIOD
+        self._due = time.perf_counter() + _LINE_PERIOD
         if not quiet and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
             from rich.live import Live
 
             # Drawn only when `show` is called: no thread competes with the simulation.
             self._live = Live(console=console(stderr=True), auto_refresh=False)
-            self._period, self._due = period, 0.0
+            self._period = period
+            self._due = 0.0  # at once
 
     def __enter__(self) -> Self:
         if self._live is not None:
@@ -99,8 +103,9 @@ class ProgressDisplay:
         if self._quiet:
             return
         text = "  ".join(f"{name} {value}" for name, value in facts.items())
-        of = f"{done:,}/{self.total:,}" if self.total is not None else f"{done:,}"
-        count = f"{of} {self.unit}"
+        count = f"{done:,} {self.unit}"
+        if self.total is not None:
+            count = f"{done:,}/{self.total:,} {self.unit}"
         if self._live is None:
             sys.stderr.write(f"{self.label}: {count}  {text}".rstrip() + "\n")
             sys.stderr.flush()
@@ -113,7 +118,7 @@ class ProgressDisplay:
 
 
 def episodes_of(num_envs: int, what: str = "episodes") -> str:
-    """Return the unit of a progress line: of how many environments episodes are counted."""
+    """Return the unit of a progress line: episodes, and of how many environments."""
     return f"{what} of {num_envs:,} environment{'s' * (num_envs != 1)}"
 
 
@@ -211,10 +216,10 @@ def warn_if_public(host: str, url: str, *, controls: bool) -> None:
     from embodichain.utils.system.addresses import is_loopback
 
     if not is_loopback(host):
-        use = " and use its controls" if controls else ""
+        abilities = "watch the run and use its controls" if controls else "watch the run"
         sys.stderr.write(
             f"warning: other machines reach the viewer at {host}:{urlsplit(url).port}; who has "
-            f"its token can watch the run{use}. Nothing is encrypted; HTTPS needs a proxy\n"
+            f"its token can {abilities}. Nothing is encrypted; HTTPS needs a proxy\n"
         )
 
 

@@ -140,10 +140,10 @@ def test_nothing_is_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("task", "push-cube"), "'push-cube' is no name for a task"),
-        (("task", "../reach2"), "is no name for a task"),
-        (("task", "class"), "is no name for a task"),
-        (("task", "2fast"), "is no name for a task"),
+        (("task", "push-cube"), "'push-cube' is not a name for a task"),
+        (("task", "../reach2"), "is not a name for a task"),
+        (("task", "class"), "is not a name for a task"),
+        (("task", "2fast"), "is not a name for a task"),
         (("task", "reach"), "there is a task 'reach' already"),
         (("task", "json", "--python"), "Python has a module 'json' already"),
         (("taks", "mine"), "Invalid value for 'task': 'taks' is not 'task'."),

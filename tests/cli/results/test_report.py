@@ -180,7 +180,7 @@ def test_mistakes_are_reported(
     for arguments, message in (
         ([str(simulated), "-o", str(tmp_path / "mine.html")], "mine.html exists"),
         (["nowhere"], "there is no run 'nowhere'"),
-        ([str(tmp_path)], "is no run's folder: it has no config.yaml"),
+        ([str(tmp_path)], "is not a run's folder: it has no config.yaml"),
         ([str(run)], "summary.json is damaged"),
     ):
         assert main(["report", *arguments]) == 2

@@ -45,7 +45,7 @@ def test_letters_that_are_no_text_are_refused_before_anything_is_made(embodichai
     cwd.mkdir(exist_ok=True)
     done = embodichain(*words, cwd=cwd, env=C_LOCALE)
     assert done.returncode == 2
-    assert done.stderr.endswith(" is no text in ascii: set LC_ALL=C.UTF-8, or PYTHONUTF8=1\n")
+    assert done.stderr.endswith(" is not text in ascii: set LC_ALL=C.UTF-8, or PYTHONUTF8=1\n")
     assert list(cwd.iterdir()) == []
     assert embodichain("list", "--help", cwd=cwd, env=C_LOCALE).returncode == 0
 

@@ -81,20 +81,21 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
     from embodichain.recording.demos.collection import new_log, read_collection
 
     root = job.root
-    wanted = root.episodes or 1
-    before = read_collection(job.folder, failures=True)
+    num_successes = root.episodes or 1
+    earlier_episodes = read_collection(job.folder, failures=True)
     collected = Collected()
-    for episode in before:
+    for episode in earlier_episodes:
         collected.add(episode)
     collected.failures_in_a_row = 0
-    succeeded = [e.attempt for e in before if e.success is True]
-    failed = [e.attempt for e in before if e.success is False]
-    if before and collected.successes >= wanted:  # it ended before it could say so
-        logs = sorted({e.log for e in before})
-        log = str(job.folder / before[-1].log)
+    succeeded = [episode.attempt for episode in earlier_episodes if episode.success is True]
+    failed = [episode.attempt for episode in earlier_episodes if episode.success is False]
+    # An earlier start may have ended between its last episode and its summary.
+    if earlier_episodes and collected.successes >= num_successes:
+        logs = sorted({episode.log for episode in earlier_episodes})
+        log = str(job.folder / earlier_episodes[-1].log)
         return _counted(job, collected, 0, 0, 0.0) | {"log": log, "logs": logs}
-    attempts = Attempts(wanted, succeeded, failed)
-    count = min(root.num_envs or 1, wanted - collected.successes)
+    attempts = Attempts(num_successes, succeeded, failed)
+    count = min(root.num_envs or 1, num_successes - collected.successes)
     name = new_log(job.folder, LOG)
     run_dir = job.folder if name == LOG else job.folder / Path(name).stem
     resolved = job.resolved.changed(num_envs=count)
@@ -128,7 +129,7 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
     finally:
         env.close()  # finishes the log too
     log = recorder.stats.path
-    logs = sorted({e.log for e in before} | {log.name})
+    logs = sorted({episode.log for episode in earlier_episodes} | {log.name})
     return counted | {"log": str(log), "logs": logs}
 
 
@@ -137,8 +138,8 @@ def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
     root = job.root
     stop = job.stop
     collected = collector.collected
-    wanted = root.episodes or 1
-    before = collected.successes
+    num_successes = root.episodes or 1
+    successes_before = collected.successes
     limit = root.max_steps or float("inf")
     patience = root.collect.give_up_after or float("inf")
     status = "finished"
@@ -148,16 +149,16 @@ def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
 
     def rate() -> float:
         """Successes per second since the start or the resumption."""
-        return (collected.successes - before) / max(time.perf_counter() - start, 1e-9)
+        return (collected.successes - successes_before) / max(time.perf_counter() - start, 1e-9)
 
     unit = episodes_of(env.num_envs, "successes")
-    with ProgressDisplay(task, wanted, unit, quiet=job.quiet) as display:
+    with ProgressDisplay(task, num_successes, unit, quiet=job.quiet) as display:
         try:
             for steps, _ in enumerate(collector.play(), 1):
                 if env.sim.is_window_open:  # in real time
                     time.sleep(max(0.0, start + steps * env.step_dt - time.perf_counter()))
                 if display.due:
-                    display.show(collected.successes, _facts(collected, wanted, rate()))
+                    display.show(collected.successes, _facts(collected, num_successes, rate()))
                 if collector.complete:
                     break
                 if stop.is_stopped():
@@ -171,7 +172,7 @@ def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
         finally:
             collector.write()
         seconds = time.perf_counter() - start
-        display.show(collected.successes, _facts(collected, wanted, rate()))
+        display.show(collected.successes, _facts(collected, num_successes, rate()))
     counted = _counted(job, collected, env.num_envs, steps, seconds)
     return counted | {"status": status, "episodes_per_minute": round(60 * rate(), 3)}
 
@@ -198,12 +199,13 @@ def _counted(
     }
 
 
-def _facts(collected: Collected, wanted: int, rate: float) -> dict[str, str]:
+def _facts(collected: Collected, num_successes: int, rate: float) -> dict[str, str]:
     """The numbers shown beside the progress bar."""
     facts = {}
     if collected.share is not None:
         facts["yield"] = f"{collected.share:.1%}"
     if rate > 0:
-        left = round((wanted - collected.successes) / rate)
-        facts |= {"per minute": f"{60 * rate:,.0f}", "left": f"{left // 60}:{left % 60:02}"}
+        minutes, seconds = divmod(round((num_successes - collected.successes) / rate), 60)
+        facts["per minute"] = f"{60 * rate:,.0f}"
+        facts["left"] = f"{minutes}:{seconds:02}"
     return facts

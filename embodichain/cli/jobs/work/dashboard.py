@@ -75,15 +75,15 @@ class Dashboard(ProgressDisplay):
 
         done = statistics.env_steps
         speed = statistics.env_steps_per_second
-        left = "-"
+        time_left = "-"
         if speed > 0:
-            left = _clock(max(self._steps - done, 0) / speed)
+            time_left = _clock(max(self._steps - done, 0) / speed)
         bar, legend = _shares(statistics)
         rows = Table.grid(padding=(0, 2))
         for width in (8, 16, None):
             rows.add_column(no_wrap=True, min_width=width)
         rows.add_row("speed", f"{speed:,.0f} steps/s", bar)
-        rows.add_row("time", f"{_clock(statistics.seconds)}, left {left}", legend)
+        rows.add_row("time", f"{_clock(statistics.seconds)}, left {time_left}", legend)
         for row in (
             _Row("return", statistics.mean_return, ".4g"),
             _Row("success", statistics.success_rate, ".0%", scale=(0.0, 1.0)),
@@ -96,11 +96,11 @@ class Dashboard(ProgressDisplay):
                 rows.add_row(row.name, format(row.value, row.form), curve)
         rows.add_row("best", *_best(statistics))
         rows.add_row("episodes", f"{statistics.episodes:,}", "")
-        whole = Table.grid(expand=True)
+        dashboard = Table.grid(expand=True)
         count = f" {done:,}/{self.total:,} steps"
-        whole.add_row(progress_row(f"{self._title} ", done, self._steps, count))
-        whole.add_row(rows)
-        return whole
+        dashboard.add_row(progress_row(f"{self._title} ", done, self._steps, count))
+        dashboard.add_row(rows)
+        return dashboard
 
     def _curve(
         self, name: str, value: float, where: float, scale: tuple[float, float] | None

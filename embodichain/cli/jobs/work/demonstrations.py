@@ -62,11 +62,10 @@ def _episodes(
     from embodichain.recording.demos.demonstrations import read_episodes
     from embodichain.recording.format.log_error import LogError
 
-    paths_or_path = root.dataset or []
-    paths = [
-        Path(path)
-        for path in ([paths_or_path] if isinstance(paths_or_path, str) else paths_or_path)
-    ]
+    names = root.dataset or []
+    if isinstance(names, str):
+        names = [names]
+    paths = [Path(name) for name in names]
     try:
         checked: Path | None = None
         for episode in read_episodes(paths, progress=progress):

@@ -26,8 +26,8 @@ from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["RayLauncher"]
 
-_CANCELLING = 120.0
-"""Seconds for jobs to save after an interrupt."""
+_CANCEL_TIMEOUT_S = 120.0
+"""Time for jobs to save after an interrupt."""
 
 
 @cluster("ray", package="ray", requires="embodichain[ray]")
@@ -43,12 +43,12 @@ class RayLauncher(ClusterLauncher):
         retries: int = 5,
         init: Mapping[str, Any] | None = None,
     ) -> None:
-        plain: Any = OmegaConf.to_container(OmegaConf.create(dict(init or {})))
+        plain_init: Any = OmegaConf.to_container(OmegaConf.create(dict(init or {})))
         self.init = {
             "address": address,
             "log_to_driver": False,
             "logging_level": "WARNING",
-            **plain,
+            **plain_init,
         }
         self.options: dict[str, Any] = {
             "num_cpus": cpus,
@@ -62,8 +62,8 @@ class RayLauncher(ClusterLauncher):
         import cloudpickle  # type: ignore[import-untyped]
         import ray
 
-        started = not ray.is_initialized()
-        if started:
+        is_own_connection = not ray.is_initialized()
+        if is_own_connection:
             try:
                 ray.init(**self.init)
             except (ConnectionError, OSError, ValueError, RuntimeError) as error:
@@ -75,22 +75,23 @@ class RayLauncher(ClusterLauncher):
             for job in jobs:
                 log = process_log(sweep, job.folder.name)
                 log.parent.mkdir(exist_ok=True)
-                named = run.options(name=f"embodichain {job.number}")
-                tasks[named.remote(cloudpickle.dumps(job), str(log))] = job.number
-            ended = {tasks[task]: _outcome(task) for task in _as_they_end(list(tasks))}
+                named_run = run.options(name=f"embodichain {job.number}")
+                task = named_run.remote(cloudpickle.dumps(job), str(log))
+                tasks[task] = job.number
+            reasons = {tasks[task]: _failure_of(task) for task in _wait_for_each(list(tasks))}
         except KeyboardInterrupt:
             sys.stderr.write("cancelling the jobs, which save\n")
             for task in tasks:
                 ray.cancel(task)
-            ray.wait(list(tasks), num_returns=len(tasks), timeout=_CANCELLING)
+            ray.wait(list(tasks), num_returns=len(tasks), timeout=_CANCEL_TIMEOUT_S)
             raise
         finally:
-            if started:
+            if is_own_connection:
                 ray.shutdown()
-        return {number: text for number, text in ended.items() if text}
+        return {number: reason for number, reason in reasons.items() if reason}
 
 
-def _as_they_end(tasks: list[Any]) -> Any:
+def _wait_for_each(tasks: list[Any]) -> Any:
     """Yield tasks as they end; returns to Python often, so that a signal is handled."""
     import ray
 
@@ -99,15 +100,14 @@ def _as_they_end(tasks: list[Any]) -> Any:
         yield from ended
 
 
-def _outcome(task: Any) -> str:
+def _failure_of(task: Any) -> str:
     """An empty string, or why a task did not end well."""
     import ray
 
     try:
-        failed: str = ray.get(task)
+        return ray.get(task)
     except ray.exceptions.RayError as error:
         return " ".join(str(error).split())
-    return failed
 
 
 def _run(pickled: bytes, log: str) -> str:

@@ -27,16 +27,25 @@ from embodichain.utils.errors import ConfigError, Problem
 __all__ = ["SlurmLauncher"]
 
 _FILES = ".slurm"
-_OVER = (
-    *("COMPLETED", "CANCELLED", "FAILED", "TIMEOUT", "OUT_OF_MEMORY", "NODE_FAIL", "BOOT_FAIL"),
-    *("DEADLINE", "PREEMPTED", "GONE"),
+_FINAL_STATES = (
+    "COMPLETED",
+    "CANCELLED",
+    "FAILED",
+    "TIMEOUT",
+    "OUT_OF_MEMORY",
+    "NODE_FAIL",
+    "BOOT_FAIL",
+    "DEADLINE",
+    "PREEMPTED",
+    "GONE",
 )
 """Final states of a job (squeue(1)); GONE is one that Slurm does not know any more."""
-_UNKNOWN = "Invalid job id"
-_CANCELLING = 120.0
-"""Seconds for jobs to save after `scancel`."""
-_SETTLED = 5.0
-"""Seconds after which a job in a final state is not queued again."""
+_UNKNOWN_JOB = "Invalid job id"
+"""Part of squeue's message about a job that Slurm does not know any more."""
+_CANCEL_TIMEOUT_S = 120.0
+"""Time for jobs to save after `scancel`."""
+_SETTLING_TIME_S = 5.0
+"""Time after which a job in a final state is not queued again."""
 _log = logging.getLogger(__name__)
 
 
@@ -58,9 +67,10 @@ class _SlurmJob:
 
     def _queue_again(self) -> None:
         """Queue the job again unless Slurm has ended or queued it already."""
-        identity, count = _own_identity(), int(os.environ.get("SLURM_RESTART_COUNT", 0))
-        if _states([identity]).get(identity) != "RUNNING":
+        identity = _own_identity()
+        if _read_states([identity]).get(identity) != "RUNNING":
             return
+        count = int(os.environ.get("SLURM_RESTART_COUNT", 0))
         if count >= self.requeues:
             sys.stderr.write(f"not queued again: it was {count} times (hydra.launcher.requeues)\n")
             return
@@ -87,41 +97,42 @@ class SlurmLauncher(ClusterLauncher):
         flags: Mapping[str, Any] | None = None,
         poll_s: float = 5.0,
     ) -> None:
-        self.requeues, self.poll_s = requeues, poll_s
-        optional = {"partition": partition, "gpus_per_node": gpus or None, "mem_gb": memory_gb}
-        plain: Any = OmegaConf.to_container(OmegaConf.create(dict(flags or {})))
-        self.parameters = {
+        self.requeues = requeues
+        self.poll_s = poll_s
+        plain_flags: Any = OmegaConf.to_container(OmegaConf.create(dict(flags or {})))
+        self.parameters: dict[str, Any] = {
             "timeout_min": time,
             "cpus_per_task": cpus,
             "slurm_array_parallelism": array,
             "slurm_signal_delay_s": signal_s,
             "slurm_setup": [f"export OMP_NUM_THREADS={cpus}", *setup],
-            "slurm_additional_parameters": {"requeue": True, **plain},
+            "slurm_additional_parameters": {"requeue": True, **plain_flags},
             "stderr_to_stdout": True,
-            **{
-                f"slurm_{name}" if name == "partition" else name: value
-                for name, value in optional.items()
-                if value is not None
-            },
         }
+        if partition is not None:
+            self.parameters["slurm_partition"] = partition
+        if gpus:
+            self.parameters["gpus_per_node"] = gpus
+        if memory_gb is not None:
+            self.parameters["mem_gb"] = memory_gb
 
     def run_jobs(self, jobs: Sequence[ClusterJob], sweep: Path) -> Mapping[int, str]:
         """Submit an array, and wait until its jobs have ended."""
-        submitted = self._submit(jobs, sweep)
-        identities = {job.number: one.job_id for job, one in zip(jobs, submitted, strict=True)}
-        for job, one in zip(jobs, submitted, strict=True):
+        identities: dict[int, str] = {}
+        for job, submitted in zip(jobs, self._submit(jobs, sweep), strict=True):
+            identities[job.number] = submitted.job_id
             log = process_log(sweep, job.folder.name)
             log.parent.mkdir(exist_ok=True)
             log.unlink(missing_ok=True)  # a link of an earlier start
-            log.symlink_to(one.paths.stdout)
-        named = ", ".join(f"{number}: {name}" for number, name in identities.items())
-        sys.stderr.write(f"submitted to Slurm ({named})\n")
+            log.symlink_to(submitted.paths.stdout)
+        names = ", ".join(f"{number}: {identity}" for number, identity in identities.items())
+        sys.stderr.write(f"submitted to Slurm ({names})\n")
         try:
-            states = self._ended(jobs, identities)
+            states = self._wait(jobs, identities)
         except KeyboardInterrupt:
             sys.stderr.write("cancelling the jobs, which save\n")
             _command("scancel", *identities.values())
-            self._ended(jobs, identities, time.monotonic() + _CANCELLING)
+            self._wait(jobs, identities, deadline=time.monotonic() + _CANCEL_TIMEOUT_S)
             raise
         return {number: f"Slurm's state is {state}" for number, state in states.items()}
 
@@ -137,48 +148,65 @@ class SlurmLauncher(ClusterLauncher):
             message = f"cannot submit the jobs: {' '.join(str(error).split())}"
             raise ConfigError([Problem("hydra/launcher", message)]) from error
 
-    def _ended(
+    def _wait(
         self,
         jobs: Sequence[ClusterJob],
         identities: Mapping[int, str],
         deadline: float = float("inf"),
     ) -> dict[int, str]:
-        """Wait until each job is finished or has left the queue for good; returns their states."""
-        since: dict[int, float] = {}
+        """Wait until each job is finished or has left the queue for good; returns their states.
+
+        Args:
+            jobs: The jobs.
+            identities: Number of each job -> its name in Slurm.
+            deadline: Time after which no job is waited for, of `time.monotonic`.
+        """
+        last_active: dict[int, float] = {}  # number of a job -> when it was last in the queue
         while True:
-            states = _states(list(identities.values()))
-            found = {number: states[name] for number, name in identities.items()}
-            now, left = time.monotonic(), 0
+            states = _read_states(list(identities.values()))
+            now = time.monotonic()
+            all_ended = True
             for job in jobs:
-                if found[job.number] not in _OVER:
-                    since.pop(job.number, None)  # it was queued again
-                settled = now - since.setdefault(job.number, now) >= _SETTLED
-                over = settled and found[job.number] in _OVER
-                left += not (over or is_finished(job.folder, self.verb))
-            if not left or now > deadline:
-                return found
+                is_final = states[identities[job.number]] in _FINAL_STATES
+                if not is_final:
+                    last_active[job.number] = now
+                # A job that is queued again is in a final state for a moment.
+                final_time = now - last_active.setdefault(job.number, now)
+                has_left = is_final and final_time >= _SETTLING_TIME_S
+                if not has_left and not is_finished(job.folder, self.verb):
+                    all_ended = False
+            if all_ended or now > deadline:
+                return {number: states[identity] for number, identity in identities.items()}
             time.sleep(self.poll_s)
 
 
 def _own_identity() -> str:
     """The name of the job that this process belongs to: ``12``, of an array ``12_3``."""
     array = os.environ.get("SLURM_ARRAY_JOB_ID")
-    return f"{array}_{os.environ['SLURM_ARRAY_TASK_ID']}" if array else os.environ["SLURM_JOB_ID"]
+    if array:
+        return f"{array}_{os.environ['SLURM_ARRAY_TASK_ID']}"
+    return os.environ["SLURM_JOB_ID"]
 
 
-def _states(identities: Sequence[str]) -> dict[str, str]:
+def _read_states(identities: Sequence[str]) -> dict[str, str]:
     """The state of each job; those that Slurm does not know are GONE.
 
     If Slurm's controller does not answer, every job is UNKNOWN.
     """
-    jobs = ",".join(dict.fromkeys(name.partition("_")[0] for name in identities))
-    asked = ["squeue", "--noheader", "--array", "--states=all", f"--jobs={jobs}"]
-    done = _command(*asked, "--format=%i %T")
-    if done.returncode and _UNKNOWN not in done.stderr:
-        _log.warning("%s", done.stderr.strip() or f"squeue ended with {done.returncode}")
+    arrays = dict.fromkeys(identity.partition("_")[0] for identity in identities)
+    result = _command(
+        "squeue",
+        "--noheader",
+        "--array",
+        "--states=all",
+        f"--jobs={','.join(arrays)}",
+        "--format=%i %T",
+    )
+    if result.returncode and _UNKNOWN_JOB not in result.stderr:
+        _log.warning("%s", result.stderr.strip() or f"squeue ended with {result.returncode}")
         return dict.fromkeys(identities, "UNKNOWN")
-    found = dict(line.split() for line in done.stdout.splitlines() if line.count(" ") == 1)
-    return {name: found.get(name, "GONE") for name in identities}
+    states = dict(line.split() for line in result.stdout.splitlines() if line.count(" ") == 1)
+    return {identity: states.get(identity, "GONE") for identity in identities}
 
 
 def _command(*words: str) -> subprocess.CompletedProcess[str]:

@@ -91,7 +91,7 @@ def _same_as(target: Target, plan: EvaluationPlan, config: Resolved) -> str | No
         return None
     try:
         before = json.loads(summary_file.read_text(encoding="utf-8")).get("eval")
-    except (OSError, ValueError):  # it is no result of this evaluation
+    except (OSError, ValueError):  # it is not a result of this evaluation
         return None
     if not before or target.file.name != Path(CHECKPOINT).name or not plan.deterministic:
         return None

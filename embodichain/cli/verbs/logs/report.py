@@ -61,13 +61,16 @@ def command(options: ReportOptions) -> None:
 
     newest = newest_run("outputs", CONFIG) if options.run == "last" else None
     if newest is None:
-        folder = find_run(options.run)
+        folder = find_run(options.run)  # its error names what `last` does not find
     else:
-        whole = whole_run(newest)  # a page of a sweep compares trainings
-        folder = take_last(whole if has_finished_training(whole) else newest)
-    out = folder / _PAGE if options.output is None else Path(options.output)
-    if options.output is not None and os.path.lexists(out):
-        raise ConfigError(f"{out} exists; it is never replaced")
+        sweep_or_run = whole_run(newest)
+        # A page of a sweep compares trainings.
+        folder = take_last(sweep_or_run if has_finished_training(sweep_or_run) else newest)
+    out = folder / _PAGE
+    if options.output is not None:
+        out = Path(options.output)
+        if os.path.lexists(out):
+            raise ConfigError(f"{out} exists; it is never replaced")
     is_sweep = not (folder / CONFIG).is_file() and (folder / SWEEP).is_file()
     text = page_of_sweep(folder) if is_sweep else page_of(folder)
     try:
@@ -75,7 +78,8 @@ def command(options: ReportOptions) -> None:
         write_text(out, text, new=options.output is not None)
     except OSError as error:
         raise ConfigError(f"cannot write {out}: {error}") from error
+    num_bytes = len(text.encode())
     if options.json:
-        print_json({"file": str(out), "bytes": len(text.encode())})
+        print_json({"file": str(out), "bytes": num_bytes})
     elif not options.quiet:
-        sys.stdout.write(f"{out}: {len(text.encode()) / 1e6:.2f} MB\n")
+        sys.stdout.write(f"{out}: {num_bytes / 1e6:.2f} MB\n")

@@ -73,14 +73,17 @@ def command(options: BenchOptions) -> None:
 
 def _sizes(overrides: list[str]) -> tuple[list[list[str]], list[str]]:
     """Split ``num_envs=1,64`` into one override per size; returns these and the other overrides."""
-    given = [o for o in overrides if o.startswith("num_envs=")]
-    if not given:
-        return [[]], overrides
-    words = given[-1].removeprefix("num_envs=").split(",")
+    prefix = "num_envs="
+    size_overrides = [override for override in overrides if override.startswith(prefix)]
+    others = [override for override in overrides if not override.startswith(prefix)]
+    if not size_overrides:
+        return [[]], others
+    last = size_overrides[-1]
+    words = last.removeprefix(prefix).split(",")
     if not all(word.strip().isdecimal() and int(word) > 0 for word in words):
-        message = f"must be one or more positive integers, got {given[-1]!r}"
+        message = f"must be one or more positive integers, got {last!r}"
         raise ConfigError([Problem("num_envs", message, "As in num_envs=1,64,1024")])
-    return [[f"num_envs={int(word)}"] for word in words], [o for o in overrides if o not in given]
+    return [[f"num_envs={int(word)}"] for word in words], others
 
 
 def _measure(config: Resolved, rounds: int) -> dict[str, float]:
@@ -94,19 +97,24 @@ def _measure(config: Resolved, rounds: int) -> dict[str, float]:
 
     env = make_env(config)
     try:
-        task, bare = _arms(env, config)
-        steps = _steps_per_round(task)
-        speeds = [(_speed(task, steps), _speed(bare, steps)) for _ in range(rounds)]
+        step_task, step_bare = _arms(env, config)
+        steps = _steps_per_round(step_task)
+        task_speeds = []
+        bare_speeds = []
+        for _ in range(rounds):
+            task_speeds.append(_speed(step_task, steps))
+            bare_speeds.append(_speed(step_bare, steps))
     finally:
         env.close()
-    ours = [env.num_envs * a for a, _ in speeds]
+    speeds = [env.num_envs * speed for speed in task_speeds]
+    ratios = [task / bare for task, bare in zip(task_speeds, bare_speeds, strict=True)]
     return {
         "num_envs": env.num_envs,
-        "steps_per_s": median(ours),
-        "slowest": min(ours),
-        "fastest": max(ours),
-        "bare_steps_per_s": env.num_envs * median(b for _, b in speeds),
-        "ratio": median(a / b for a, b in speeds),
+        "steps_per_s": median(speeds),
+        "slowest": min(speeds),
+        "fastest": max(speeds),
+        "bare_steps_per_s": env.num_envs * median(bare_speeds),
+        "ratio": median(ratios),
     }
 
 
@@ -123,7 +131,8 @@ def _arms(env: BaseEnv, config: Resolved) -> tuple[Callable[[int], None], Callab
     if not isinstance(engine, CpuEngine):
         message = "bench compares with mujoco.batch on the CPU: sim.engine=mujoco"
         raise ConfigError([Problem("sim.engine", message)])
-    actions, controls = [], []
+    actions = []
+    controls = []
     for _ in range(_ACTIONS):
         actions.append(policy(obs, env))
         obs, *_ = env.step(actions[-1])

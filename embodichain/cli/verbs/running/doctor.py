@@ -34,7 +34,11 @@ EXTRAS = {
     "wandb": ("trainings in Weights & Biases", "wandb"),
     "sweep": (
         "sweeps in parallel, and searches with Optuna",
-        *("hydra-joblib-launcher", "hydra-optuna-sweeper", "joblib", "alembic", "sqlalchemy"),
+        "hydra-joblib-launcher",
+        "hydra-optuna-sweeper",
+        "joblib",
+        "alembic",
+        "sqlalchemy",
     ),
     "slurm": ("sweeps on Slurm: hydra/launcher=slurm", "submitit"),
     "ray": ("many machines: sim.backend=ray, hydra/launcher=ray", "ray", "cloudpickle"),
@@ -55,8 +59,18 @@ OTHERS = {
 }
 """Optional package that is in no extra -> its purpose."""
 _CORE = (
-    *("mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3", "hydra-core"),
-    *("omegaconf", "pydantic", "mcap", "protobuf", "rich"),
+    "mujoco",
+    "numpy",
+    "torch",
+    "tensordict",
+    "gymnasium",
+    "stable-baselines3",
+    "hydra-core",
+    "omegaconf",
+    "pydantic",
+    "mcap",
+    "protobuf",
+    "rich",
 )
 _LOW_DISK_GB = 2.0
 _BALL = "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></mujoco>"
@@ -102,9 +116,15 @@ class DoctorOptions:
 )
 def command(options: DoctorOptions) -> int:
     """Run all checks and print their results."""
-    # _randomness is the first that imports MuJoCo: it says whether that is possible.
-    sections = _versions, _threads, _rendering, _display, _disk, _randomness, _optional
-    checks = [check for section in sections for check in section()]
+    checks = [
+        *_versions(),
+        *_threads(),
+        *_rendering(),
+        *_display(),
+        *_disk(),
+        *_randomness(),  # the first that imports MuJoCo: it reports whether that is possible
+        *_optional(),
+    ]
     if options.json:
         print_json({"checks": [asdict(check) for check in checks]})
     else:
@@ -176,8 +196,8 @@ def render_once() -> None:
     renderer = OffscreenRenderer(model)
     if renderer.kind == "rays":
         raise RuntimeError("no OpenGL: depth and masks are drawn with rays, colours are not")
-    at = Viewpoint.look_at((0.4, -0.4, 0.4), (0.0, 0.0, 0.0))
-    picture = renderer.pictures(DataState(data), at, (64, 48))
+    viewpoint = Viewpoint.look_at((0.4, -0.4, 0.4), (0.0, 0.0, 0.0))
+    picture = renderer.pictures(DataState(data), viewpoint, (64, 48))
     if picture.max() == picture.min():
         raise RuntimeError(f"the {renderer.kind} renderer draws an empty picture")
     sys.stdout.write(f"{renderer.kind} renderer: {renderer.about}")
@@ -193,32 +213,42 @@ def _display() -> Iterator[Check]:
 
 def _disk() -> Iterator[Check]:
     folder = Path("outputs").resolve()
-    existing = next(p for p in (folder, *folder.parents) if p.exists())
-    free = shutil.disk_usage(existing).free / 1e9
-    space = f"{free:.1f} GB free for {folder}"
-    if free > _LOW_DISK_GB:
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    free_gb = shutil.disk_usage(existing).free / 1e9
+    space = f"{free_gb:.1f} GB free for {folder}"
+    if free_gb > _LOW_DISK_GB:
         yield Check("disk", "ok", space)
     else:
-        yield Check(
-            "disk", "warn", space, "logs of many environments are large: record=none, or room"
-        )
+        advice = "logs of many environments are large: record=none, or room"
+        yield Check("disk", "warn", space, advice)
     if not os.access(existing, os.W_OK):
         yield Check("outputs", "warn", f"{existing} cannot be written", "run elsewhere")
 
 
 def _optional() -> Iterator[Check]:
-    extras = {name: (purpose, f"'embodichain[{name}]'") for name, (purpose, *_) in EXTRAS.items()}
-    others = {name: (purpose, name) for name, purpose in OTHERS.items()}
-    for name, (purpose, install) in {**extras, **others}.items():
-        versions, missing = _installed(EXTRAS[name][1:] if name in EXTRAS else [name])
-        listed = ", ".join(f"{package} {version}" for package, version in versions.items())
-        if not missing:
-            yield Check(name, "ok", listed)
-            continue
-        lacking = f"not installed: {', '.join(missing)}"
-        installed = f"{lacking} (there: {listed})" if listed else lacking
-        yield Check(name, "missing", installed, f"{purpose}: pip install {install}")
+    for extra, (purpose, *packages) in EXTRAS.items():
+        yield _check_packages(extra, packages, f"{purpose}: pip install 'embodichain[{extra}]'")
+    for package, purpose in OTHERS.items():
+        yield _check_packages(package, [package], f"{purpose}: pip install {package}")
     yield _cuda()
+
+
+def _check_packages(name: str, packages: Sequence[str], advice: str) -> Check:
+    """Check that optional packages are installed.
+
+    Args:
+        name: Name of the check.
+        packages: The packages.
+        advice: What to do if one is missing.
+    """
+    versions, missing = _installed(packages)
+    installed = ", ".join(f"{package} {version}" for package, version in versions.items())
+    if not missing:
+        return Check(name, "ok", installed)
+    result = f"not installed: {', '.join(missing)}"
+    if installed:
+        result += f" (there: {installed})"
+    return Check(name, "missing", result, advice)
 
 
 def _cuda() -> Check:
@@ -240,8 +270,10 @@ def _randomness() -> Iterator[Check]:
     from embodichain.cli.results.global_random import global_draws, registered_code
 
     advice = "use env.rand or env.randn: the same numbers whatever num_envs is"
-    draws = [(name, draw) for name, thing in registered_code() for draw in global_draws(thing)]
-    for name, draw in draws:
-        yield Check(name, "warn", f"draws from a global generator: {draw}", advice)
-    if not draws:
+    has_draws = False
+    for name, code in registered_code():
+        for draw in global_draws(code):
+            has_draws = True
+            yield Check(name, "warn", f"draws from a global generator: {draw}", advice)
+    if not has_draws:
         yield Check("random numbers", "ok", "no registered class or term uses a global generator")

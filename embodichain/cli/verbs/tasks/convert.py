@@ -62,17 +62,24 @@ def command(options: ConvertOptions) -> None:
     text = _task_file(gym, options.file)
     if options.output is not None:
         _write_new(Path(options.output), text)
-    left = validate(compose([override_of(options.file)]))
+    mistakes = validate(compose([override_of(options.file)]))
     if options.json:
-        lists = {"notes": gym.notes, "mistakes": left}
-        listed = {name: [asdict(p) for p in found] for name, found in lists.items()}
-        print_json({"name": gym.name, "task": gym.task, "written": options.output, **listed})
+        print_json(
+            {
+                "name": gym.name,
+                "task": gym.task,
+                "written": options.output,
+                "notes": [asdict(note) for note in gym.notes],
+                "mistakes": [asdict(mistake) for mistake in mistakes],
+            }
+        )
         return
-    sys.stdout.write(
-        text if options.output is None else f"{options.output}: {gym.name}, from {options.file}\n"
-    )
+    if options.output is None:
+        sys.stdout.write(text)
+    else:
+        sys.stdout.write(f"{options.output}: {gym.name}, from {options.file}\n")
     sys.stderr.write(_list("left out, or read otherwise", gym.notes))
-    sys.stderr.write(_list("still wrong in the task", left))
+    sys.stderr.write(_list("still wrong in the task", mistakes))
 
 
 def _task_file(gym: GymConfig, source: str) -> str:
@@ -99,4 +106,6 @@ def _write_new(path: Path, text: str) -> None:
 
 def _list(title: str, problems: Iterable[Problem]) -> str:
     lines = [f"  {problem}\n" for problem in problems]
-    return "".join([f"{title} ({len(lines)}):\n", *lines]) if lines else ""
+    if not lines:
+        return ""
+    return "".join([f"{title} ({len(lines)}):\n", *lines])

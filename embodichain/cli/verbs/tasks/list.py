@@ -78,16 +78,20 @@ def command(options: ListOptions) -> None:
     if options.json:
         print_json({options.what: rows})
         return
-    print_table(options.what, [{k: v for k, v in row.items() if k != _FAULT} for row in rows])
-    _print_list(_FAULT, [f"{row['name']}: {text}" for row in rows if (text := row.get(_FAULT))])
+    faults = [f"{row['name']}: {row[_FAULT]}" for row in rows if row.get(_FAULT)]
+    for row in rows:
+        row.pop(_FAULT, None)  # a sentence, too long for a column
+    print_table(options.what, rows)
+    _print_list(_FAULT, faults)
     if options.what == "robots":
         _print_list("not here", _absent_robots(rows))
 
 
 def _print_list(title: str, lines: list[str]) -> None:
-    if lines:
-        folded = [f"{wrapped(line, '  ', '    ')}\n" for line in lines]
-        sys.stdout.write("".join([f"{title}:\n", *folded, "\n"]))
+    if not lines:
+        return
+    folded = [wrapped(line, first="  ", rest="    ") for line in lines]
+    sys.stdout.write("\n".join([f"{title}:", *folded, "\n"]))
 
 
 def _tasks() -> Rows:
@@ -117,16 +121,23 @@ def _description(source: ConfigSource, path: str) -> str:
     if not isinstance(config, DictConfig):
         return ""
     raw: Any = OmegaConf.to_container(config, resolve=False)
-    written = raw.get("description", "")
-    return str(shown(written) if is_from_env(written) else config.get("description", ""))
+    description = raw.get("description", "")
+    if is_from_env(description):  # may be a secret
+        return str(shown(description))
+    return str(config.get("description", ""))
 
 
 def _robots() -> Rows:
     from embodichain.data import fault_of, list_robots
 
     return [
-        {"name": a.name, "format": a.format, "from": a.source, _FAULT: fault_of(a.path)}
-        for a in list_robots()
+        {
+            "name": robot.name,
+            "format": robot.format,
+            "from": robot.source,
+            _FAULT: fault_of(robot.path),
+        }
+        for robot in list_robots()
     ]
 
 
@@ -152,37 +163,43 @@ def _absent_robots(rows: Rows) -> list[str]:
         "menagerie": HOW,
         "EMBODICHAIN_DATA_ROOT": f"your own: files below {data_root()} ($EMBODICHAIN_DATA_ROOT)",
     }
-    found = {row["from"].partition(",")[0] for row in rows}
-    return [way for place, way in ways.items() if place not in found]
+    present_sources = {row["from"].partition(",")[0] for row in rows}
+    return [way for source, way in ways.items() if source not in present_sources]
 
 
 def _terms() -> Rows:
     from embodichain.cli.results.terms import SECTION_OF, all_entries
 
     entries = all_entries()
-    return [
-        {
-            "kind": kind,
-            "name": entry.name,
-            "params": entry.signature.removeprefix(entry.name)[1:-1],
-            "what": entry.doc.summary,
-        }
-        for kind in SECTION_OF
-        for entry in entries
-        if kind in entry.kinds
-    ]
+    rows = []
+    for kind in SECTION_OF:
+        for entry in entries:
+            if kind not in entry.kinds:
+                continue
+            rows.append(
+                {
+                    "kind": kind,
+                    "name": entry.name,
+                    "params": entry.signature.removeprefix(entry.name)[1:-1],  # without brackets
+                    "what": entry.doc.summary,
+                }
+            )
+    return rows
 
 
 def _formats() -> Rows:
     """Formats of logs, none of which is imported."""
     from embodichain.recording.export.format_register import EPISODE_FORMATS, FORMATS
 
-    both = {"the log": FORMATS.summaries(), "observations": EPISODE_FORMATS.summaries()}
-    return [
-        {"name": name, "of": contents, "what": summary}
-        for contents, summaries in both.items()
-        for name, summary in summaries.items()
+    rows = [
+        {"name": name, "of": "the log", "what": summary}
+        for name, summary in FORMATS.summaries().items()
     ]
+    rows += [
+        {"name": name, "of": "observations", "what": summary}
+        for name, summary in EPISODE_FORMATS.summaries().items()
+    ]
+    return rows
 
 
 def _viewers() -> Rows:

@@ -10,6 +10,7 @@ import keyword
 import os
 import sys
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -49,7 +50,8 @@ class _Names:
     @property
     def cls(self) -> str:
         """The name of the class: ``push_cube`` gives ``PushCubeEnv``."""
-        return "".join(part[:1].upper() + part[1:] for part in self.task.split("_")) + "Env"
+        parts = [part[:1].upper() + part[1:] for part in self.task.split("_")]
+        return f"{''.join(parts)}Env"
 
     @property
     def conf(self) -> Path:
@@ -65,13 +67,17 @@ class _Names:
     @property
     def test(self) -> Path:
         """The test."""
-        tests = Path("tests", "tasks")
-        return (tests if tests.is_dir() else tests.parent) / f"test_{self.task}.py"
+        folder = Path("tests", "tasks")
+        if not folder.is_dir():
+            folder = Path("tests")
+        return folder / f"test_{self.task}.py"
 
     def _inside(self, name: str) -> Path:
         """A folder of the package, with links resolved."""
         folder = self.source / self.package / name
-        return Path(os.path.relpath(folder.resolve())) if folder.is_symlink() else folder
+        if folder.is_symlink():
+            return Path(os.path.relpath(folder.resolve()))
+        return folder
 
 
 @dataclass(frozen=True)
@@ -116,41 +122,70 @@ def command(options: NewOptions) -> None:
     _check_name(options.name)
     project = _pyproject()
     names = _names(options.name, project)
-    own = names.package or Path(f"{options.name}.py").exists()
-    if options.python and not own and importlib.util.find_spec(options.name) is not None:
-        raise ConfigError(f"Python has a module '{options.name}' already: choose another name")
-    words, step = UR10, TimeStep(0.005)
+    if options.python:
+        _check_module(names)
+    robot_words = UR10
+    step = TimeStep(0.005)
     if options.robot is not None:
-        words, files_own = describe_robot(options.robot, python=options.python)
-        step = time_step(files_own, lambda tried: _yaml(words | tried.words))
-    words = words | step.words
-    files = _files(names, words, python=options.python)
+        robot_words, file_dt = describe_robot(options.robot, python=options.python)
+        step = time_step(file_dt, lambda trial: _yaml(robot_words | trial.words))
+    files = _files(names, robot_words | step.words, python=options.python)
     _write(files)
-    needed = _needed(project, names, python=options.python)
-    written, commands = [path.as_posix() for path in files], _next(names)
-    if options.json:
-        data = {"wrote": written, "next": commands, "pyproject": needed}
-        print_json(data | {"physics_dt": step.dt, "why": step.why} if step.why else data)
+    toml = _missing_toml(project, names, python=options.python)
+    _report(files, step, _next_commands(names), toml, json=options.json)
+
+
+def _report(
+    files: Iterable[Path], step: TimeStep, commands: list[str], toml: str, *, json: bool
+) -> None:
+    """Print what was written, and what to do next.
+
+    Args:
+        files: The files that were written.
+        step: The task's time step.
+        commands: The commands to type next.
+        toml: What `pyproject.toml` lacks.
+        json: Print one JSON object.
+    """
+    written = [path.as_posix() for path in files]
+    if json:
+        facts: dict[str, Any] = {"wrote": written, "next": commands, "pyproject": toml}
+        if step.why:
+            facts["physics_dt"] = step.dt
+            facts["why"] = step.why
+        print_json(facts)
         return
     lines = [f"wrote {path}" for path in written]
     if step.why:
         lines.append(f"physics_dt {step.dt:g} s: {step.why}")
-    lines += ["", "next:", *(f"  {command}" for command in commands)]
-    if needed:
+    lines += ["", "next:"]
+    lines += [f"  {command}" for command in commands]
+    if toml:
         lines += ["", "to find it where the package is installed, pyproject.toml needs:"]
-        lines += [f"  {line}".rstrip() for line in needed.splitlines()]
+        lines += [f"  {line}".rstrip() for line in toml.splitlines()]
     sys.stdout.write("\n".join(lines) + "\n")
 
 
 def _check_name(name: str) -> None:
     """Refuse a name that Python or YAML does not allow, or that another task has."""
     if not (name.isidentifier() and name.isascii()) or keyword.iskeyword(name):
-        raise ConfigError(f"'{name}' is no name for a task: letters, digits and _, as in push_cube")
+        raise ConfigError(
+            f"'{name}' is not a name for a task: letters, digits and _, as in push_cube"
+        )
     from embodichain.config.composition.composed import list_options
 
-    own = Path("conf", "task", f"{name}.yaml")
-    if name in list_options("task") and not own.exists():
+    users_file = Path("conf", "task", f"{name}.yaml")
+    # `_write` refuses the user's own file, by its path.
+    if name in list_options("task") and not users_file.exists():
         raise ConfigError(f"there is a task '{name}' already: embodichain show task={name}")
+
+
+def _check_module(names: _Names) -> None:
+    """Refuse a module of the working directory that would hide one of Python's or a package's."""
+    if names.package or Path(f"{names.task}.py").exists():
+        return
+    if importlib.util.find_spec(names.task) is not None:
+        raise ConfigError(f"Python has a module '{names.task}' already: choose another name")
 
 
 def _pyproject() -> dict[str, Any]:
@@ -180,7 +215,6 @@ def _files(names: _Names, robot: dict[str, str], *, python: bool) -> dict[Path, 
         robot: Template variables of the robot, see `describe_robot`.
         python: Whether the task is a class that a short YAML names.
     """
-    search = f"    monkeypatch.syspath_prepend({_path('ROOT', names.source)})\n"
     words = {
         "task": names.task,
         "cls": names.cls,
@@ -188,33 +222,53 @@ def _files(names: _Names, robot: dict[str, str], *, python: bool) -> dict[Path, 
         "module": names.module,
         "conf": _path("ROOT", names.conf),
         "up": str(len(names.test.parts) - 1),
-        "fixture": "monkeypatch: pytest.MonkeyPatch" if python else "",
-        "search": search if python else "",
+        "fixture": "",
+        "search": "",
         "hold": "torch.from_numpy(env.action_manager.hold()).float()",
         "success": 'info["success"].tolist()',
         **robot,
     }
-    files = {names.conf / "task" / f"{names.task}.yaml": "task.yaml"}
     if python:
-        files = {path: "class.yaml" for path in files} | {names.python: "class.py"}
+        words["fixture"] = "monkeypatch: pytest.MonkeyPatch"
+        words["search"] = f"    monkeypatch.syspath_prepend({_path('ROOT', names.source)})\n"
         words["hold"] = "env.robot.get_qpos()[:, env.active_joint_ids]"
-    files[names.test] = "test.py"
-    templates = resources.files("embodichain.cli") / "templates"
-    texts = {
-        path: Template((templates / f"{name}.tmpl").read_text(encoding="utf-8")).substitute(words)
-        for path, name in files.items()
-    }
-    inits = {names.conf: "The YAML of this package's tasks."} if names.package else {}
-    if names.package and python:
-        inits[names.python.parent] = "Tasks."
-    missing = {f / "__init__.py": f'"""{text}"""\n' for f, text in inits.items()}
-    return texts | {path: text for path, text in missing.items() if not path.exists()}
+
+    yaml = names.conf / "task" / f"{names.task}.yaml"
+    if python:
+        files = {
+            yaml: _fill("class.yaml", words),
+            names.python: _fill("class.py", words),
+        }
+    else:
+        files = {yaml: _fill("task.yaml", words)}
+    files[names.test] = _fill("test.py", words)
+    return files | _missing_inits(names, python=python)
+
+
+def _missing_inits(names: _Names, *, python: bool) -> dict[Path, str]:
+    """Path -> text of the `__init__.py` that folders of the user's package lack."""
+    if not names.package:
+        return {}
+    docstrings = {names.conf: "The YAML of this package's tasks."}
+    if python:
+        docstrings[names.python.parent] = "Tasks."
+    inits = {}
+    for folder, docstring in docstrings.items():
+        path = folder / "__init__.py"
+        if not path.exists():
+            inits[path] = f'"""{docstring}"""\n'
+    return inits
 
 
 def _yaml(words: dict[str, str]) -> str:
     """The YAML of a task without a class."""
-    templates = resources.files("embodichain.cli") / "templates"
-    return Template((templates / "task.yaml.tmpl").read_text(encoding="utf-8")).substitute(words)
+    return _fill("task.yaml", words)
+
+
+def _fill(name: str, words: dict[str, str]) -> str:
+    """The text of a template with its variables replaced."""
+    template = resources.files("embodichain.cli") / "templates" / f"{name}.tmpl"
+    return Template(template.read_text(encoding="utf-8")).substitute(words)
 
 
 def _path(root: str, path: Path) -> str:
@@ -228,9 +282,9 @@ def _write(files: dict[Path, str]) -> None:
     Raises:
         ConfigError: If a file exists (then nothing is written), or cannot be written.
     """
-    there = [path.as_posix() for path in files if os.path.lexists(path)]
-    if there:
-        raise ConfigError(f"exists already, and is not overwritten: {', '.join(there)}")
+    existing_files = [path.as_posix() for path in files if os.path.lexists(path)]
+    if existing_files:
+        raise ConfigError(f"exists already, and is not overwritten: {', '.join(existing_files)}")
     for path, text in files.items():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -240,45 +294,59 @@ def _write(files: dict[Path, str]) -> None:
             raise ConfigError(f"{path} cannot be written: {error.strerror}") from error
 
 
-def _needed(project: dict[str, Any], names: _Names, *, python: bool) -> str:
+def _missing_toml(project: dict[str, Any], names: _Names, *, python: bool) -> str:
     """TOML to add to `pyproject.toml`: entry points, and the YAML in the package's wheel."""
     package = names.package
     if package in ("", "embodichain"):  # its tree is always searched
         return ""
+    blocks = []
     groups = project.get("project", {}).get("entry-points", {})
-    wanted = [("embodichain.conf", package, f"{package}.conf")]
+    entry_points = [("embodichain.conf", package, f"{package}.conf")]
     if python:
-        wanted.append(("embodichain.tasks", names.task, names.module))
-    blocks = [
-        _block(f'project.entry-points."{group}"', f'{key} = "{value}"', there=group in groups)
-        for group, key, value in wanted
-        if value not in groups.get(group, {}).values()
-    ]
-    backend = str(project.get("build-system", {}).get("build-backend", "setuptools.build_meta"))
-    data = project.get("tool", {}).get("setuptools", {}).get("package-data")
-    patterns = {
-        f"{folder}/{pattern}".lstrip("/")
-        for folder, key in (("", package), ("conf", f"{package}.conf"), ("conf", "*"))
-        for pattern in (data or {}).get(key, [])
-    }
-    # by default setuptools puts only Python files into wheels
-    if backend.startswith("setuptools") and not any(p.startswith("conf/**/*.y") for p in patterns):
-        line = f'{package} = ["conf/**/*.yaml"]'
-        blocks.append(_block("tool.setuptools.package-data", line, there=data is not None))
+        entry_points.append(("embodichain.tasks", names.task, names.module))
+    for group, key, value in entry_points:
+        if value not in groups.get(group, {}).values():
+            table = f'project.entry-points."{group}"'
+            blocks.append(_block(table, f'{key} = "{value}"', exists=group in groups))
+    if not _puts_yaml_into_wheel(project, package):
+        table = "tool.setuptools.package-data"
+        exists = _package_data(project) is not None
+        blocks.append(_block(table, f'{package} = ["conf/**/*.yaml"]', exists=exists))
     return "\n\n".join(blocks)
 
 
-def _block(table: str, line: str, *, there: bool) -> str:
+def _puts_yaml_into_wheel(project: dict[str, Any], package: str) -> bool:
+    """Whether the package's wheel has its YAML: setuptools takes only Python files by default."""
+    backend = str(project.get("build-system", {}).get("build-backend", "setuptools.build_meta"))
+    if not backend.startswith("setuptools"):
+        return True
+    data = _package_data(project) or {}
+    patterns = [
+        *data.get(package, []),
+        *(f"conf/{pattern}" for pattern in data.get(f"{package}.conf", [])),
+        *(f"conf/{pattern}" for pattern in data.get("*", [])),
+    ]
+    return any(pattern.lstrip("/").startswith("conf/**/*.y") for pattern in patterns)
+
+
+def _package_data(project: dict[str, Any]) -> dict[str, Any] | None:
+    """The table of files that setuptools adds to packages."""
+    return project.get("tool", {}).get("setuptools", {}).get("package-data")
+
+
+def _block(table: str, line: str, *, exists: bool) -> str:
     """A line of a TOML table, with its header unless the file has the table already."""
-    return f"# in [{table}], which is there:\n{line}" if there else f"[{table}]\n{line}"
+    if exists:
+        return f"# in [{table}], which is there:\n{line}"
+    return f"[{table}]\n{line}"
 
 
-def _next(names: _Names) -> list[str]:
+def _next_commands(names: _Names) -> list[str]:
     """The commands to type next."""
-    searched = names.conf == Path("conf") or names.package == "embodichain"
-    where = "" if searched else f" --config-dir {names.conf.as_posix()}"
+    is_searched = names.conf == Path("conf") or names.package == "embodichain"
+    config_dir = "" if is_searched else f" --config-dir {names.conf.as_posix()}"
     return [
-        f"embodichain validate{where} task={names.task}",
+        f"embodichain validate{config_dir} task={names.task}",
         f"python -m pytest {names.test.as_posix()}",
-        f"embodichain run{where} task={names.task}",
+        f"embodichain run{config_dir} task={names.task}",
     ]

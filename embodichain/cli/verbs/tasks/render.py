@@ -28,11 +28,13 @@ __all__ = ["command"]
 Picture = NDArray[np.uint8]
 """(height, width, 3) RGB."""
 
-_SIZES = {False: "1280x960", True: "480x360"}
-"""Pixels of one environment: alone, and in a grid."""
+_SIZE_ALONE = "1280x960"
+"""Pixels of one environment."""
+_SIZE_IN_GRID = "480x360"
+"""Pixels of one environment among several."""
 _MOST_PIXELS = 2**28
-"""Of the whole picture."""
-_LONGEST = 8192
+"""Pixels of the whole picture."""
+_LONGEST_SIDE = 8192
 """Pixels of a side of one environment; OpenGL libraries have limits from there on."""
 _FORMATS = (".png", ".jpg", ".jpeg", ".webp")
 
@@ -84,48 +86,48 @@ def command(options: RenderOptions) -> None:
     Raises:
         ConfigError: The task has mistakes, there is no such view, or the file cannot be written.
     """
-    out, lines = _split(options.words)
-    columns, rows = (
-        (1, 1)
-        if options.grid is None
-        else pair("--grid", options.grid, "COLUMNSxROWS, such as 4x3")
-    )
-    sized = options.size or _SIZES[options.grid is not None]
-    width, height = pair("--size", sized, "WIDTHxHEIGHT in pixels, such as 640x480")
-    if max(width, height) > _LONGEST:
-        raise ConfigError(f"--size: a side has at most {_LONGEST} pixels, got {sized}")
-    if columns * width * rows * height > _MOST_PIXELS:
-        message = f"{columns * width}x{rows * height} pixels are too many: at most {_MOST_PIXELS:,}"
-        raise ConfigError(message)
+    out, lines = _split_words(options.words)
+    columns = rows = 1
+    size = options.size or _SIZE_ALONE
+    if options.grid is not None:
+        columns, rows = pair("--grid", options.grid, "COLUMNSxROWS, such as 4x3")
+        size = options.size or _SIZE_IN_GRID
+    width, height = pair("--size", size, "WIDTHxHEIGHT in pixels, such as 640x480")
+    if max(width, height) > _LONGEST_SIDE:
+        raise ConfigError(f"--size: a side has at most {_LONGEST_SIDE} pixels, got {size}")
+    picture_width = columns * width
+    picture_height = rows * height
+    pixels = f"{picture_width}x{picture_height}"
+    if picture_width * picture_height > _MOST_PIXELS:
+        raise ConfigError(f"{pixels} pixels are too many: at most {_MOST_PIXELS:,}")
     refuse_unread("render", lines)
-    env, facts = _advanced(lines, columns * rows, options.step)
+    env, facts = _simulate(lines, columns * rows, options.step)
     try:
         tiles = _draw(env, options.view, width, height)
     finally:
         env.close()
-    grid_of = tiles.reshape(rows, columns, height, width, 3).swapaxes(1, 2)
-    picture = grid_of.reshape(rows * height, columns * width, 3)
-    _save(picture, out)
-    size_of = picture.shape[1::-1]
+    grid = tiles.reshape(rows, columns, height, width, 3).swapaxes(1, 2)
+    _save(grid.reshape(picture_height, picture_width, 3), out)
     if options.json:
-        print_json({"file": str(out), "size": size_of, "view": options.view, **facts})
+        size_of_picture = [picture_width, picture_height]
+        print_json({"file": str(out), "size": size_of_picture, "view": options.view, **facts})
     elif not options.quiet:
-        pixels = "{}x{}".format(*size_of)
         sys.stdout.write(f"{out}: {pixels}, control step {options.step}, seed {facts['seed']}\n")
 
 
-def _split(words: tuple[str, ...]) -> tuple[Path, list[str]]:
+def _split_words(words: tuple[str, ...]) -> tuple[Path, list[str]]:
     """The picture to write, and the overrides."""
-    files = [w for w in words if "=" not in w and Path(w).suffix.lower() in _FORMATS]
+    files = [word for word in words if "=" not in word and Path(word).suffix.lower() in _FORMATS]
     if len(files) != 1:
-        found = ", ".join(files) or "none"
-        raise ConfigError(f"name one picture to write ({', '.join(_FORMATS)}), got: {found}")
+        names = ", ".join(files) or "none"
+        raise ConfigError(f"name one picture to write ({', '.join(_FORMATS)}), got: {names}")
     if os.path.lexists(files[0]):
         raise ConfigError(f"{files[0]} exists; it is never replaced")
-    return Path(files[0]), split_overrides(tuple(w for w in words if w not in files))
+    other_words = tuple(word for word in words if word not in files)
+    return Path(files[0]), split_overrides(other_words)
 
 
-def _advanced(lines: list[str], num_envs: int, steps: int) -> tuple[BaseEnv, dict[str, Any]]:
+def _simulate(lines: list[str], num_envs: int, steps: int) -> tuple[BaseEnv, dict[str, Any]]:
     """The environments after some control steps of the config's policy, and facts about them."""
     from embodichain.cli.jobs.job import policy_of
     from embodichain.config.environments.factory import make_env
@@ -146,16 +148,21 @@ def _advanced(lines: list[str], num_envs: int, steps: int) -> tuple[BaseEnv, dic
     except BaseException:
         env.close()
         raise
-    facts = {"task": resolved.task_name, "num_envs": num_envs, "seed": resolved.root.seed}
-    return env, {**facts, "control_step": steps}
+    facts = {
+        "task": resolved.task_name,
+        "num_envs": num_envs,
+        "seed": resolved.root.seed,
+        "control_step": steps,
+    }
+    return env, facts
 
 
 def _draw(env: BaseEnv, view: str, width: int, height: int) -> Picture:
     """(N, height, width, 3) of all environments."""
     model = env.sim.scene.model
-    known = [model.camera(i).name for i in range(model.ncam)]
-    if view not in known:
-        message = f"--view {view}: there are {', '.join(known)}.{did_you_mean(view, known)}"
+    cameras = [model.camera(i).name for i in range(model.ncam)]
+    if view not in cameras:
+        message = f"--view {view}: there are {', '.join(cameras)}.{did_you_mean(view, cameras)}"
         raise ConfigError(message)
     return env.sim.render(None, view, width, height)
 

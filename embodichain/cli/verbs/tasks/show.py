@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +17,9 @@ from embodichain.cli.verb import overrides, verb
 from embodichain.cli.words import split_overrides
 from embodichain.utils.env_text import hidden_in, shown
 from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.config.resolved import Resolved
 
 __all__ = ["command"]
 
@@ -60,22 +63,40 @@ def command(options: ShowOptions) -> None:
         _show_term(options.words[1], json=options.json)
         return
     from embodichain.cli.jobs.job import pinned
-    from embodichain.cli.results.show_task import task_tables, without_defaults
-    from embodichain.config.resolved import dump_yaml, resolve
+    from embodichain.config.resolved import resolve
 
-    lines = split_overrides(options.words)
-    resolved = pinned(resolve(lines, verb_of_keys(lines)))
-    tables = {} if options.config else hidden_in(task_tables(resolved))
-    if options.json:
-        about = {"config": shown(resolved.tree)}
-        if not options.config:
-            notes = [asdict(note) for note in resolved.notes]
-            about = {"task": resolved.task_name, **about, **({"notes": notes} if notes else {})}
-        print_json({**about, **tables})
+    overrides = split_overrides(options.words)
+    resolved = pinned(resolve(overrides, verb_of_keys(overrides)))
+    if options.config:
+        _show_config(resolved, json=options.json)
+    else:
+        _show_task(resolved, json=options.json)
+
+
+def _show_config(resolved: Resolved, *, json: bool) -> None:
+    """Print the resolved config alone; nothing is built."""
+    from embodichain.config.resolved import dump_yaml
+
+    if json:
+        print_json({"config": shown(resolved.tree)})
+    else:
+        sys.stdout.write(dump_yaml(resolved.tree))
+
+
+def _show_task(resolved: Resolved, *, json: bool) -> None:
+    """Build the environment, and print the config and its tables."""
+    from embodichain.cli.results.show_task import task_tables, without_defaults
+    from embodichain.config.resolved import dump_yaml
+
+    tables = hidden_in(task_tables(resolved))
+    if json:
+        facts: dict[str, Any] = {"task": resolved.task_name, "config": shown(resolved.tree)}
+        if resolved.notes:
+            facts["notes"] = [asdict(note) for note in resolved.notes]
+        print_json(facts | tables)
         return
-    text = dump_yaml(resolved.tree)
-    sys.stdout.write(text if options.config else f"# {resolved.task_name}, resolved\n{text}\n")
-    for note in [] if options.config else resolved.notes:
+    sys.stdout.write(f"# {resolved.task_name}, resolved\n{dump_yaml(resolved.tree)}\n")
+    for note in resolved.notes:
         sys.stdout.write(f"note: {note}\n")
     for title, rows in tables.items():
         if isinstance(rows, dict):
@@ -95,10 +116,13 @@ def _show_term(name: str, *, json: bool) -> None:
     for entry in entries:
         sections = f"for: {entry.sections or '`shape` of a term'}"
         for block in (entry.name, sections, entry.signature, entry.doc.text):
-            sys.stdout.write(f"{wrapped(block)}\n\n" if block else "")
-        rows: list[dict[str, Any]] = [*entry.parameters()]
-        if rows:
-            print_table("parameters", [{**r, "default": r["default"] or "(needed)"} for r in rows])
+            if block:
+                sys.stdout.write(f"{wrapped(block)}\n\n")
+        parameters = entry.parameters()
+        for row in parameters:
+            row["default"] = row["default"] or "(needed)"
+        if parameters:
+            print_table("parameters", parameters)
         if entry.doc.example:
             sys.stdout.write(wrapped(f"example:\n\n  {entry.doc.example}") + "\n\n")
         sys.stdout.write(f"defined in {entry.spec.place}\n")

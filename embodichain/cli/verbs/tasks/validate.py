@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -70,41 +70,33 @@ def command(options: ValidateOptions) -> int:
     """Print every mistake on stderr and exit with 2, or report that there is none."""
     if options.train and options.collect:
         raise ConfigError("either --train or --collect")
-    verb: Verb = "train" if options.train else "collect" if options.collect else "run"
     name = " ".join(options.words)
-    # By the suffix, so that a missing file is reported as missing.
-    endings = (".yaml", ".yml", ".json")
-    files = [word for word in options.words if "=" not in word and word.endswith(endings)]
-    notes: tuple[Problem, ...] = ()
-    problems: tuple[Problem, ...] = ()
-    if files and len(options.words) > 1:
+    is_file = any(_is_file_name(word) for word in options.words)
+    if is_file and len(options.words) > 1:
         raise ConfigError(f"either one file or overrides: {name}")
     if not options.words:
         raise ConfigError("validate what? task=NAME or a file: `embodichain list tasks`")
+    # A composition has notes even if a check ends with an error.
+    notes: list[Problem] = []
+    problems: tuple[Problem, ...] = ()
     try:
-        if files:
-            from embodichain.config.file_validation import checked_file, notes_on_file
-
-            notes = notes_on_file(name)
-            config = checked_file(name, verb)
+        if is_file:
+            config = _check_file(name, _verb(options) or "run", notes)
         else:
-            from embodichain.config.composition.composed import compose
-
-            lines = split_overrides(options.words)
-            any_key = not (options.train or options.collect)
-            if any_key:
-                verb = verb_of_keys(lines)
-            composed = compose(lines, verb)
-            notes = composed.notes
-            config = check_job(composed, verb, any_key=any_key)
-        further, problems = _every_mistake(config, notes)
-        notes = (*notes, *further)
+            config = _check_overrides(split_overrides(options.words), _verb(options), notes)
+        further_notes, problems = _every_mistake(config, notes)
+        notes += further_notes
     except ConfigError as error:
         problems = error.problems
     if options.json:
-        mistakes = [asdict(p.at(p.source)) for p in problems]
-        listed = {"notes": [asdict(p) for p in notes]} if notes else {}
-        print_json({"checked": name, "ok": not problems, "mistakes": mistakes, **listed})
+        facts: dict[str, Any] = {
+            "checked": name,
+            "ok": not problems,
+            "mistakes": [asdict(problem.at(problem.source)) for problem in problems],
+        }
+        if notes:
+            facts["notes"] = [asdict(note) for note in notes]
+        print_json(facts)
         return process.WRONG_INPUT if problems else process.OK
     for note in notes:
         sys.stderr.write(f"note: {note}\n")
@@ -114,6 +106,44 @@ def command(options: ValidateOptions) -> int:
     return process.OK
 
 
+def _verb(options: ValidateOptions) -> Verb | None:
+    """The verb whose config was asked for; None without an option."""
+    if options.train:
+        return "train"
+    if options.collect:
+        return "collect"
+    return None
+
+
+def _is_file_name(word: str) -> bool:
+    """Whether a word names a file: by its suffix, so that a missing file is reported as missing."""
+    return "=" not in word and word.endswith((".yaml", ".yml", ".json"))
+
+
+def _check_file(name: str, verb: Verb, notes: list[Problem]) -> Checked:
+    """Check a file, and add notes about it to a list."""
+    from embodichain.config.file_validation import checked_file, notes_on_file
+
+    notes += notes_on_file(name)
+    return checked_file(name, verb)
+
+
+def _check_overrides(lines: list[str], verb: Verb | None, notes: list[Problem]) -> Checked:
+    """Check a composed config, and add notes about it to a list.
+
+    Args:
+        lines: The overrides.
+        verb: The verb that must read their keys; None takes keys of every verb.
+        notes: The list.
+    """
+    from embodichain.config.composition.composed import compose
+
+    job_verb = verb or verb_of_keys(lines)
+    composed = compose(lines, job_verb)
+    notes += composed.notes
+    return check_job(composed, job_verb, any_key=verb is None)
+
+
 def _every_mistake(
     config: Checked, before: Sequence[Problem]
 ) -> tuple[list[Problem], tuple[Problem, ...]]:
@@ -121,7 +151,7 @@ def _every_mistake(
 
     Args:
         config: The checked config.
-        before: Notes that are known.
+        before: The notes so far.
 
     Returns:
         Further notes; and every mistake: of the config, of packages that it needs, of its building.
@@ -159,9 +189,9 @@ def _every_mistake(
                 check_extras(resolved.root)
             with _collecting(problems, resolved.locating):
                 scene = compile_scene_of(resolved)
-                known = resolved.notes
+                num_notes = len(resolved.notes)
                 resolved = with_warp_values(resolved, config.verb, compiled_scene=scene)
-                notes += resolved.notes[len(known) :]
+                notes += resolved.notes[num_notes:]
                 notes += _try_out(resolved, scene, config.verb, complete=not problems)
     if problems:
         problems += further_mistakes(config, problems, _build)
@@ -250,10 +280,11 @@ def _overlaps(env: BaseEnv) -> list[Problem]:
 
     notes: list[Problem] = []
     for uid, asset in {**env.sim.robots, **env.sim.articulations}.items():
-        often = overlapping_links(asset.parsed)
-        listed = ", ".join(f"{a} and {b} {share:.0%}" for (a, b), share in often.items())
-        if listed:
-            what = f"links that are in each other in many of 200 postures: {listed}"
-            advice = "self_collision.exclude leaves pairs out, include says that they are meant"
-            notes.append(Problem(uid, f"{what}; {advice}"))
+        shares = overlapping_links(asset.parsed)
+        if not shares:
+            continue
+        pairs = ", ".join(f"{a} and {b} {share:.0%}" for (a, b), share in shares.items())
+        fact = f"links that are in each other in many of 200 postures: {pairs}"
+        advice = "self_collision.exclude leaves pairs out, include says that they are meant"
+        notes.append(Problem(uid, f"{fact}; {advice}"))
     return notes
