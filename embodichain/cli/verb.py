@@ -92,9 +92,9 @@ class Verb(click.Command):
     keys = False
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Call the verb, if its words are text and MuJoCo can be imported.
+        """Call the verb, after a check that its words are text and that MuJoCo can be imported.
 
-        `doctor` says why not.
+        `doctor` is called in any case: it says what is wrong with the machine.
         """
         if self.name != "doctor":
             process.check_text([*(ctx.find_root().obj or ()), os.getcwd()])

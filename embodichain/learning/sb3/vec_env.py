@@ -1,6 +1,6 @@
 """`SB3VecEnv`: a Stable-Baselines3 `VecEnv` over the batched environment.
 
-Spaces are in `spaces.py`, training is in `train.py`.
+Spaces are made in `learning.spaces`, training is in `learning.training.train`.
 """
 
 from __future__ import annotations

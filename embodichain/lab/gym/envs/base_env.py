@@ -162,7 +162,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     rollout_buffer: None = None
     current_rollout_step: int = 0
     action_bank: None = None
-    # Set while it is built. Events that store what they register take none of these names.
+    # Set while it is built. Events may store attributes of the environment, but under none of these
+    # names.
     cfg: EnvCfg
     sim: SimulationManager
     streams: RandomStreams

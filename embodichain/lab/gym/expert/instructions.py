@@ -19,6 +19,11 @@ Vector = tuple[float, float, float]
 class Goal:
     """A pose for the tool, or for what it holds, computed when the motion begins.
 
+    Three examples. ``Goal(target="cube", back=0.1)`` is 10 cm behind the cube along the tool's own
+    axis: where a grasp begins. ``Goal(target="goal", held=True)`` has what the gripper holds at
+    the goal, wherever it was grasped: where it is placed. ``Goal(target="cube", start="goal",
+    beyond=0.05)`` is 5 cm beyond the cube, seen from the goal: where a push to the goal begins.
+
     Attributes:
         target: What the position is relative to; None is where the tool is on its path.
         offset: Metres.

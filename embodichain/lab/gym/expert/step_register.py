@@ -75,15 +75,15 @@ class Maker:
     speed: float = 1.0
 
     def move(self, goal: Goal, near: float | None = PASSING_DISTANCE, share: float = 1.0) -> Move:
-        """A motion at a share of the speed of the step."""
+        """Return a motion of the tool to a goal, at a share of the speed of the step."""
         return Move(self.step, self.arm, goal, self.speed * share, near)
 
     def grip(self, opens: bool, takes: Target | None = None) -> Grip:
-        """The fingers."""
+        """Return that the gripper opens, or closes on what `takes` names."""
         return Grip(self.step, self.arm, opens, takes)
 
     def wait(self, seconds: float) -> Wait:
-        """Time."""
+        """Return that the arm waits for a time."""
         return Wait(self.step, self.arm, seconds)
 
 

@@ -151,7 +151,7 @@ class BatchEntity(Handle["EntityIndex"]):
 
     @property
     def entity(self) -> EntityIndex:
-        """The entity's indices in the compiled model; compiles the scene at first use."""
+        """The same as `index`: columns and bodies in the compiled model."""
         return self.index
 
     def reset(self, env_ids: Any = None) -> None:

@@ -25,9 +25,9 @@ start                                                       ``row`` (N, nstate) 
 field that a write changes (None: all). `moved` is the number of columns of a row that physics
 writes (`columns.moved_ranges`); the other columns are inputs and change only by writes. Calls after
 a control step are the first calls of the next one. The last call of a step is ``step``; only the
-calls after the last step of a recording end without it. A ``start`` is a separate message on
-`START_TOPIC` with the state of the simulation before control step `first`: replaying the messages
-after it needs none before it.
+calls after the last step of a recording end without it. A ``start`` (users know them as keyframes)
+is a separate message on `START_TOPIC` with the state of the simulation before control step `first`:
+replaying the messages after it needs none before it.
 
 A message on `STEPS_TOPIC` has steps `first` to `first + count - 1`. Calls of the same kind (names,
 columns, dtypes, shapes) are one entry, which lists its `steps` (from 0) if it is not in all of

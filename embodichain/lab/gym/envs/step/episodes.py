@@ -86,7 +86,8 @@ class Episodes:
         """Say whether the present step counts in `count`.
 
         It counts for terms and after a step. EmbodiChain counts it after the hooks that observe and
-        judge; these see the steps before it.
+        judge; these see the steps before it. So in the first step of an episode a term reads 1 and
+        `get_reward` of a class reads 0; in `info` of that step it is 1.
         """
         before = self._uncounted
         self._uncounted = not present

@@ -68,6 +68,6 @@ def index_sensor(
 
 
 def notes_on_sensor(model: mujoco.MjModel, plan: SensorPlan) -> list[str]:
-    """Return what a user should know of a sensor in the compiled model, such as that it is deaf."""
+    """Return what a user should know of a sensor, such as that nothing can touch it."""
     notes: list[str] = SENSORS[plan.cfg.sensor_type].notes(model, plan)
     return [f"{plan.uid}: {note}" for note in notes]

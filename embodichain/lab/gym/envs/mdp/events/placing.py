@@ -168,7 +168,9 @@ class ResetRootStateUniform(Term):
             velocity = self._velocity(env.event_manager, env_ids)
             write_root_velocity(asset, velocity, env_ids)
         elif self._has_velocity:
-            write_root_velocity(asset, np.zeros_like(pos[:, :1]) * np.zeros(6), env_ids)
+            # (n, 6) zeros where `pos` is: on the host or on a device.
+            zeros = np.zeros_like(pos[:, :1]) * np.zeros(6)
+            write_root_velocity(asset, zeros, env_ids)
 
 
 def _rows_of(row: Any, env: TermContext) -> Floats:
@@ -266,7 +268,11 @@ class RandomizePose(Term):
             self._asset.engine.step(self._steps, env_ids)
 
     def _has_orientation(self, quat: Floats, env_ids: EnvIndex | None) -> bool:
-        """Whether the orientations are already set: a write would only enlarge the log."""
+        """Whether the orientations are already set: a write would only enlarge the log.
+
+        Results are the same either way. Without a listener there is no log, and comparing would
+        take longer than writing.
+        """
         if self._stop is not None or not self._asset.engine.listeners or not is_host(quat):
             return False
         _, current_quat = self._asset.read_pose()
