@@ -185,7 +185,7 @@ def get_articulation_joint_drive(
 
     K columns of the picked joints for each property: stiffness (N m/rad), damping (N m s/rad),
     max_effort (N m), max_velocity (rad/s), friction (N m), armature (kg m^2); N, m and kg for
-    slides. 1e10 is no limit. In EmbodiChain it is a nested dictionary.
+    slides. 1e10 means no limit. In EmbodiChain it is a nested dictionary.
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.

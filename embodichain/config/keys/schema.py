@@ -199,7 +199,7 @@ class EvalCfg:
     """The evaluation at the end of a training; `record` and `video` apply to its episodes."""
 
     episodes: Annotated[int, Field(ge=0)] = 100
-    """Episodes over all environments; 0 is no evaluation."""
+    """Episodes over all environments; 0 means no evaluation."""
 
 
 @configclass
@@ -246,7 +246,7 @@ class RootCfg:
     episodes: PositiveInt | None = None
     """Episodes of each environment; for `collect`, successful episodes of all environments."""
     max_steps: PositiveInt | None = None
-    """Control steps; None is no limit."""
+    """Control steps; None means no limit."""
     total_timesteps: PositiveInt | None = None
     """Control steps of training, summed over environments."""
     policy: str | PolicyCfg | None = None

@@ -88,7 +88,7 @@ def play_sharded(
         env: The batch, just reset.
         policy: A policy that reads no observation and has no state.
         counted: The statistics of the batch, updated in place.
-        most_steps: Control steps at most; None is no limit.
+        most_steps: Control steps at most; None means no limit.
     """
     firsts = env.pool.firsts
     states: list[dict[str, Any]] = [

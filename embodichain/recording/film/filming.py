@@ -45,7 +45,7 @@ class FilmStyle:
         camera: A camera of the scene; None is its ``default`` if it exists, else a front view.
         every: Draw every `every`-th control step. None is the least that gives at most `FASTEST`
             pictures per second, 25 in a GIF.
-        max_seconds: Length of the film in seconds, at most; None is no limit.
+        max_seconds: Length of the film in seconds, at most; None means no limit.
 
     Raises:
         ConfigError: If a number is out of range.
@@ -128,7 +128,7 @@ def film_log(
         stop: Called before each picture; if it returns True, the film ends there and is saved.
         every: Draw every `every`-th control step. None is the least that gives at most `FASTEST`
             pictures per second, 25 in a GIF.
-        max_seconds: Length of the film in seconds, at most; None is no limit.
+        max_seconds: Length of the film in seconds, at most; None means no limit.
 
     Returns:
         What was drawn; without pictures, no file was written.

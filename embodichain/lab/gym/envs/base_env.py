@@ -1049,7 +1049,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     @property
     def max_episode_steps(self) -> int:
-        """Control steps after which an episode is truncated; 2**31 - 1 is no limit."""
+        """Control steps after which an episode is truncated; 2**31 - 1 means no limit."""
         return self.episodes.limit
 
     @max_episode_steps.setter

@@ -298,7 +298,7 @@ class EnvCfg:
     """Physics steps a control step (K)."""
     ignore_terminations: bool = False
     max_episode_steps: Annotated[int, KEEP_DEFAULT] = DefaultInt(300)
-    """Control steps; -1 is no limit."""
+    """Control steps; -1 means no limit."""
     first_env: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
     """Number of the first environment: environment *i* has the random streams of first_env + i."""
     # The declared task (not in EmbodiChain). Maps are keyed by name; an entity's uid is its key.
@@ -334,7 +334,7 @@ class EnvCfg:
     reward_floor: Annotated[float, Field(allow_inf_nan=False)] | None = dataclasses.field(
         default=None, kw_only=True
     )
-    """Smallest reward of a step, sum of all terms; None is no limit."""
+    """Smallest reward of a step, sum of all terms; None means no limit."""
     terminations: dict[str, TerminationCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     metrics: dict[str, MetricCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     symmetry: SymmetryCfg | None = dataclasses.field(default=None, kw_only=True)

@@ -38,7 +38,7 @@ class JointDrivePropertiesCfg:
     """N m s/rad or N s/m, inside the drive; the joint's own damping is the file's."""
     max_effort: Gain = DefaultFloat(1e10)
     """N m or N, positive: bounds the sum of spring and damper. "file", the default for an MJCF,
-    takes the limits of the URDF or MJCF; 1e9 or more is no limit."""
+    takes the limits of the URDF or MJCF; 1e9 or more means no limit."""
     max_velocity: PerJoint | Literal["file"] | None = None
     """rad/s or m/s, positive: limits how fast actions move position targets, and bounds velocity
     actions. "file" takes the limits of the URDF. The joint itself is not clamped."""

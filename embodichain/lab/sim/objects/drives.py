@@ -327,7 +327,7 @@ class Drives:
     def write(self, name: str, values: Floats, ids: EnvIndex | None, joints: Joints) -> None:
         """Set an attribute, by name, to non-negative values (n, k).
 
-        A `max_effort` of `NO_LIMIT` or more is no limit.
+        A `max_effort` of `NO_LIMIT` or more means no limit.
 
         Raises:
             ValueError: If a joint has no drive.

@@ -36,7 +36,7 @@ class Sampler:
         arrays: Makes the arrays.
         measure: Takes (n,) environments, or None for all, and returns arrays (n, ...); they may be
             live views, which are valid until the engine's `version` changes.
-        rate: Hz of simulated time; None is no rate.
+        rate: Hz of simulated time; None means no rate.
         of_positions: Whether readings follow from positions and the model alone, and `measure`
             returns new arrays. Environments in which these have not changed are then not measured
             again: after a reset, only those that were reset. On a device all are measured.

@@ -241,7 +241,7 @@ class LeastSquares:
         Args:
             start: (K, n) initial positions of the chain's joints.
             target: The poses.
-            low: (k, n) lowest positions of the moving joints; -inf is no limit.
+            low: (k, n) lowest positions of the moving joints; -inf means no limit.
             high: (k, n) highest.
             restarts: Further searches after the first.
             env_ids: (n,) environments, or None for all.
@@ -287,7 +287,7 @@ class LeastSquares:
         Args:
             start: (K, n) initial positions of the chain's joints.
             target: The poses.
-            low: (k, n) lowest positions of the moving joints; -inf is no limit.
+            low: (k, n) lowest positions of the moving joints; -inf means no limit.
             high: (k, n) highest.
             restarts: Further searches after the first.
             env_ids: (n,) environments, or None for all.

@@ -164,7 +164,7 @@ class TermContext(ObservedEnv, Protocol):
 
     @property
     def max_episode_steps(self) -> int:
-        """Control steps after which an episode is truncated; 2**31 - 1 is no limit."""
+        """Control steps after which an episode is truncated; 2**31 - 1 means no limit."""
         ...
 
     @property

@@ -317,7 +317,7 @@ class RewardManager(Manager[RewardCfg]):
     Args:
         env: The environment; its scene is complete.
         cfgs: Name -> reward.
-        floor: Smallest sum of a step, the rewards of hooks included; None is no limit.
+        floor: Smallest sum of a step, the rewards of hooks included; None means no limit.
 
     Attributes:
         weights: Name -> current weight; replaced, not changed, by `set_weight`.

@@ -420,7 +420,7 @@ def at_most(env: TermContext, limit: float | None) -> Values:
     """The smaller of the value and a limit, column by column.
 
     Args:
-        limit: In the quantity's unit; None is no limit.
+        limit: In the quantity's unit; None means no limit.
 
     Example:
         ``{func: height, shape: {at_most: 0.2}, weight: 5.0, params: {of: {uid: cube}}}``

@@ -49,8 +49,8 @@ class ParsedArticulation:
             with what it carries of its leader's drive.
         carried_damping: What mimic joints carry of a drive's damping, see `couplings`; the damper
             of its actuator is smaller by as much.
-        max_effort: Effort limits of drives; inf is no limit.
-        max_velocity: Limits of position targets and velocity actions; 1e10 is no limit.
+        max_effort: Effort limits of drives; inf means no limit.
+        max_velocity: Limits of position targets and velocity actions; 1e10 means no limit.
         friction: Dry friction.
         armature: Reflected inertia, `added_armature` included.
         added_armature: Armature added so that limited drives do not chatter.

@@ -47,7 +47,7 @@ class Impedance:
             and rad.
         decoupling: Whether L shapes the forces.
         posture: (k,) joint positions.
-        pull: 1/s^2 towards the posture, critically damped; 0 is no posture.
+        pull: 1/s^2 towards the posture, critically damped; 0 means no posture.
     """
 
     def __init__(

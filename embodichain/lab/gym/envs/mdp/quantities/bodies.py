@@ -391,8 +391,8 @@ def at_rest(
     """True where the linear and angular speed of an entity are below thresholds.
 
     Args:
-        linear_threshold: m/s; None is no condition.
-        angular_threshold: rad/s; None is no condition.
+        linear_threshold: m/s; None means no condition.
+        angular_threshold: rad/s; None means no condition.
 
     Example:
         ``{func: at_rest, params: {of: {uid: cube}, linear_threshold: 0.01, angular_threshold:

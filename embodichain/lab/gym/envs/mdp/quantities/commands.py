@@ -96,7 +96,7 @@ def follows_velocity(
 
     Args:
         linear_threshold: Largest error in the plane, m/s.
-        angular_threshold: Largest error about the vertical, rad/s; None is no condition.
+        angular_threshold: Largest error about the vertical, rad/s; None means no condition.
 
     Example:
         ``{func: follows_velocity, params: {of: {uid: go}, command_name: velocity,

@@ -114,7 +114,7 @@ class FeetAirTime(Term):
 
     Args:
         sensor: A contact sensor on the feet.
-        command_name: A command whose first two columns are vx and vy, m/s; None is no condition.
+        command_name: A command whose first two columns are vx and vy, m/s; None means no condition.
         threshold: Air time with reward 0, s; shorter steps give a negative one.
         min_command: m/s.
         force_threshold: Force above which a foot is in contact, N.

@@ -41,7 +41,7 @@ NO_VELOCITY_LIMIT = 1e10
 
 @dataclass(frozen=True)
 class JointDrive:
-    """How one joint is driven. SI units; an effort of inf is no limit.
+    """How one joint is driven. SI units; an effort of inf means no limit.
 
     Attributes:
         joint: The joint, as its file has it.
@@ -458,7 +458,7 @@ def _add_actuator(spec: mujoco.MjSpec, name: str, drive: JointDrive) -> None:
 
 
 def _limit_force(actuator: mujoco.MjsActuator, effort: float) -> None:
-    """Clamp an actuator's force to +-effort; inf is no limit."""
+    """Clamp an actuator's force to +-effort; inf means no limit."""
     actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
     if math.isfinite(effort):
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE

@@ -229,7 +229,7 @@ def control_names(model: mujoco.MjModel) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class FileJoint:
-    """One hinge or slide of a robot, as its file has it. SI units; inf is no limit.
+    """One hinge or slide of a robot, as its file has it. SI units; inf means no limit.
 
     Attributes:
         name: Its name.
