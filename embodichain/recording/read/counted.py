@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 
 from google.protobuf.message import DecodeError
@@ -16,21 +16,7 @@ from embodichain.recording.format.log_error import DamageError
 from embodichain.recording.format.messages.schema import message_class
 from embodichain.recording.read.episodes import LogEpisode
 
-__all__ = ["COUNTED_TOPIC", "Counting", "encode_counted"]
-
-COUNTED_TOPIC = "/counted"
-
-
-def encode_counted(env_ids: Sequence[int], episodes: Sequence[int]) -> bytes:
-    """The message of `COUNTED_TOPIC` for episodes that count.
-
-    Args:
-        env_ids: The environment of each.
-        episodes: The id of each within its environment.
-    """
-    message = message_class("Counted")(env_ids=env_ids, episode_id=episodes)
-    data: bytes = message.SerializeToString()
-    return data
+__all__ = ["Counting"]
 
 
 class Counting:

@@ -22,11 +22,11 @@ from embodichain.recording.format.attachments import (
 from embodichain.recording.format.header import Header
 from embodichain.recording.format.log_error import DamageError, LogError
 from embodichain.recording.format.messages.columns import Column, state_columns
+from embodichain.recording.format.messages.episodes import COUNTED_TOPIC, EPISODE_TOPIC
 from embodichain.recording.read.arrays import OUTCOMES, LogArrays, first_step, gather
 from embodichain.recording.read.chunks import LogReader
-from embodichain.recording.read.counted import COUNTED_TOPIC, Counting
+from embodichain.recording.read.counted import Counting
 from embodichain.recording.read.episodes import (
-    EPISODE_TOPIC,
     LogEpisode,
     decode_ends,
     episode_of,

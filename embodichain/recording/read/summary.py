@@ -12,10 +12,11 @@ from embodichain.recording.format.attachments import MODEL, model_digest, unpack
 from embodichain.recording.format.header import Header
 from embodichain.recording.format.log_error import DamageError, LogError
 from embodichain.recording.format.messages.block import unpack_steps
+from embodichain.recording.format.messages.episodes import COUNTED_TOPIC, EPISODE_TOPIC
 from embodichain.recording.format.messages.schema import STEPS_TOPIC
 from embodichain.recording.read.chunks import LogReader
-from embodichain.recording.read.counted import COUNTED_TOPIC, Counting
-from embodichain.recording.read.episodes import EPISODE_TOPIC, LogEpisode, decode_ends
+from embodichain.recording.read.counted import Counting
+from embodichain.recording.read.episodes import LogEpisode, decode_ends
 from embodichain.recording.read.trajectory import outcomes
 
 __all__ = ["ChannelInfo", "LogSummary", "inspect"]

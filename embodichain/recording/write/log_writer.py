@@ -16,11 +16,17 @@ from embodichain.recording.format.attachments import Attachment
 from embodichain.recording.format.container.unpacking import listed
 from embodichain.recording.format.header import METADATA, METADATA_END, Header
 from embodichain.recording.format.messages.block import ArrayKind, CallKind, Recorded, pack_steps
+from embodichain.recording.format.messages.episodes import (
+    COUNTED_TOPIC,
+    EPISODE_TOPIC,
+    Ends,
+    EpisodeSums,
+    encode_counted,
+    encode_ends,
+)
 from embodichain.recording.format.messages.schema import START_TOPIC, STEPS_TOPIC
 from embodichain.recording.format.parts import LogPlace, Manifest, part_name
 from embodichain.recording.format.seals import sealed
-from embodichain.recording.read.counted import COUNTED_TOPIC, encode_counted
-from embodichain.recording.read.episodes import EPISODE_TOPIC, Ends, EpisodeSums, encode_ends
 from embodichain.recording.write.log_file import LogFile
 
 __all__ = ["LAYOUT_FILE", "LogWriter", "Queue"]

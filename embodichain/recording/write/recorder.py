@@ -19,9 +19,9 @@ from embodichain.lab.sim.engine.api import PhysicsEvent, Write
 from embodichain.recording.format.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.format.header import check_keyframes, header_of
 from embodichain.recording.format.messages.columns import Moved
+from embodichain.recording.format.messages.episodes import Ends
 from embodichain.recording.format.options import RecordOptions, check_options
 from embodichain.recording.format.parts import LogPlace
-from embodichain.recording.read.episodes import Ends
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.write.calls import CallEncoder
 from embodichain.recording.write.episode_gate import EpisodeGate

@@ -11,7 +11,8 @@ import embodichain.recording as recording
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.recording import McapRecorder, RecordOptions
 from embodichain.recording.format.log_error import DamageError
-from embodichain.recording.read.episodes import Ends, EpisodeSums, decode_ends, encode_ends
+from embodichain.recording.format.messages.episodes import Ends, EpisodeSums, encode_ends
+from embodichain.recording.read.episodes import decode_ends
 
 
 @pytest.fixture(scope="module", params=["all", "none"])
