@@ -118,15 +118,18 @@ def test_a_policy_of_a_training_that_did_not_finish(
     empty_cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("stopped/checkpoints").mkdir(parents=True)
-    without = "error: command line: policy: stopped has no checkpoints/final.zip: it is no finished"
+    without = (
+        "error: command line: policy: stopped has no checkpoints/final.zip: it is not the folder of "
+        "a finished training; "
+    )
     for verb in ("run", "validate"):
         assert main([verb, "task=cart_pole", "policy=stopped"]) == 2
-        assert capsys.readouterr().err == f"{without} training's folder; it has none\n"
+        assert capsys.readouterr().err == f"{without}it has none\n"
     for name in ("best", "step_000000002048"):
         Path(f"stopped/checkpoints/{name}.zip").touch()
     for verb in ("run", "validate"):
         assert main([verb, "task=cart_pole", "policy=stopped"]) == 2
         assert capsys.readouterr().err == (
-            f"{without} training's folder; there are: stopped/checkpoints/best.zip, "
+            f"{without}there are: stopped/checkpoints/best.zip, "
             "stopped/checkpoints/step_000000002048.zip\n"
         )

@@ -175,11 +175,11 @@ def test_a_planted_network_is_not_run(
         "branch.ts": (script_of(WritesInABranch()), "does more than compute"),
         "loading.pt": (script_of(WritesAtLoading()), "runs while it is loaded"),
         "final.zip": (zipped.read_bytes(), "does more than compute"),
-        "pickle.pt": (pickled(Payload()), "no TorchScript file"),
+        "pickle.pt": (pickled(Payload()), "not a TorchScript file"),
     }
     if importlib.util.find_spec("onnxruntime") and importlib.util.find_spec("onnx"):
         (tmp_path / "secret.bin").write_bytes(bytes(8))
-        planted["beside.onnx"] = onnx_beside("secret.bin"), "no ONNX file"
+        planted["beside.onnx"] = onnx_beside("secret.bin"), "not an ONNX file"
     for name, (content, why) in planted.items():
         file = tmp_path / name
         file.write_bytes(content)

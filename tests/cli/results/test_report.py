@@ -202,6 +202,6 @@ def test_what_a_killed_training_left_of_its_first_checkpoint_is_removed(tmp_path
     main(["report", str(tmp_path)])
     assert not left.exists()
     left.write_bytes(b"half")
-    with pytest.raises(ConfigError, match="it is no finished training's folder"):
+    with pytest.raises(ConfigError, match="it is not the folder of a finished training"):
         checkpoint_of(tmp_path)
     assert not left.exists()

@@ -172,7 +172,7 @@ def test_blend_averages_what_was_predicted_for_the_step():
         (("dataset=null",), "dataset: bc learns from demonstrations: dataset=FOLDER"),
         (
             ("algo=ppo", "~algo.chunk_size"),
-            "dataset: ppo learns from its own steps alone; what takes",
+            "dataset: ppo learns from its own steps alone; these take",
         ),
         (("dataset=nowhere",), "dataset: there is no file or folder 'nowhere'"),
         (
