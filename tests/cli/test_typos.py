@@ -119,8 +119,8 @@ def test_a_policy_of_a_training_that_did_not_finish(
 ) -> None:
     Path("stopped/checkpoints").mkdir(parents=True)
     without = (
-        "error: command line: policy: stopped has no checkpoints/final.zip: it is not the folder of "
-        "a finished training; "
+        "error: command line: policy: stopped has no checkpoints/final.zip: it is not the folder "
+        "of a finished training; "
     )
     for verb in ("run", "validate"):
         assert main([verb, "task=cart_pole", "policy=stopped"]) == 2
