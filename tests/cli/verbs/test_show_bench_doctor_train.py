@@ -96,7 +96,7 @@ def test_show_tells_sensors_commands_and_curriculum(
     sensors = {row["sensor"]: row for row in data["sensors"]}
     assert (sensors["feet"]["type"], sensors["feet"]["params"]) == (
         "contact",
-        "{entity_cfg: {uid: go2, link_names: [.*_foot]}}",
+        "{of: {uid: go2, link_names: [.*_foot]}}",
     )
     assert sensors["feet"]["reads"] == "found, force"
     noise = {row["term"]: row.get("noise") for row in data["observations"]}

@@ -1,5 +1,6 @@
 """What `train` leaves in its folder besides what was learned: the evaluation at its end."""
 
+import importlib.util
 import json
 import os
 import signal
@@ -147,7 +148,11 @@ def test_films(trained, capsys, monkeypatch):
     assert (Path(found["folder"]) / "rollout.mp4").is_file()
     assert main(["train", *TINY, "eval.episodes=0", "video=true"]) == 2
     assert "video: there is no evaluation to film" in capsys.readouterr().err
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    find_spec = importlib.util.find_spec
+    absent = {"imageio", "imageio_ffmpeg"}
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if name in absent else find_spec(name)
+    )
     before = len(list(Path("outputs").rglob("checkpoints")))
     assert main(["train", *TINY, "video=true"]) == 2
     assert "pip install 'embodichain[video]'" in capsys.readouterr().err

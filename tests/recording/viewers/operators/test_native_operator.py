@@ -39,7 +39,7 @@ class Session:
         )
         self.operator._env = Quick(env)
         self.obs, _ = env.reset()
-        self.policy._begun = True  # what begins an episode has a test of its own
+        self.policy._has_begun = True  # what begins an episode has a test of its own
 
     def step(self, count=1):
         for _ in range(count):
