@@ -31,12 +31,22 @@ __all__ = ["Command", "Commands", "commands", "cpu_seconds"]
 _ROOT = Path(__file__).parents[2]
 _LONGEST = 1 << 17
 """Bytes of a request."""
-_VERBS = ("run", "train", "eval", "collect", "replay", "export", "report", "show", "list")
 _WARM = (
-    *(f"embodichain.cli.verbs.{verb}" for verb in _VERBS),
-    *("mujoco", "torch", "stable_baselines3", "mcap", "matplotlib", "PIL.Image", "hydra"),
-    *("embodichain.tasks", "embodichain.config.environments.factory"),
-    *("embodichain.learning.training.train", "embodichain.cli.sweeps.sweeping"),
+    "PIL.Image",
+    "embodichain.cli.jobs.work.collect_job",
+    "embodichain.cli.jobs.work.evaluate_job",
+    "embodichain.cli.jobs.work.run_job",
+    "embodichain.cli.jobs.work.train_job",
+    "embodichain.cli.sweeps.sweeping",
+    "embodichain.config.environments.factory",
+    "embodichain.learning.training.train",
+    "embodichain.tasks",
+    "hydra",
+    "matplotlib",
+    "mcap",
+    "mujoco",
+    "stable_baselines3",
+    "torch",
 )
 
 
@@ -184,9 +194,8 @@ def commands() -> Iterator[Commands]:
 
 def _serve(address: str) -> bool:
     """Fork commands until stdin is closed; returns whether this process is such a fork."""
-    for name in _WARM:
-        with suppress(ImportError):
-            importlib.import_module(name)
+    for name in _WARM:  # a name that has moved fails here, not as a slow start of each command
+        importlib.import_module(name)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
         listener.bind(address)
         listener.listen()

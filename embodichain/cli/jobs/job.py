@@ -487,7 +487,7 @@ def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
         yield partial(VIEWERS.__getitem__, root.viewer.name)
     images = root.record.images
     if not has_log and not _shows_pictures(root.viewer.name):
-        images = None  # nobody would get them
+        images = None  # without a log or a viewer for them
     keys_that_draw = []
     if root.video:
         from embodichain.utils.system.video import need_encoder

@@ -147,7 +147,7 @@ def resumed_collection(overrides: Sequence[str]) -> tuple[Resolved, Path, int]:
     folder = resumed_folder(name, newest, "collection")
     done = len(read_collection(folder))
     fresh = {"quiet": False, "json": False, "traceback": False, "resume": str(folder)}
-    fresh |= {"trust": False}  # whoever made the folder does not say whom to trust
+    fresh |= {"trust": False}  # a folder does not decide which code this machine runs
     tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
     source = str(folder / CONFIG)
     resumed = resolve_tree(tree, source, "collect", task_name=task_of(folder), allow_import=True)

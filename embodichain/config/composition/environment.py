@@ -275,10 +275,10 @@ def taken_today(tree: Mapping[str, Any], source: str = "") -> dict[str, Any]:
             problems.append(not_taken(path, value, str(error).splitlines()[0], source))
             return value
 
-    taken: dict[str, Any] = today(tree, "")
+    resolved_tree: dict[str, Any] = today(tree, "")
     if problems:
         raise ConfigError(problems)
-    return taken
+    return resolved_tree
 
 
 def not_taken(path: str, text: object, reason: str, source: str) -> Problem:

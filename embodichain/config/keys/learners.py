@@ -110,9 +110,9 @@ def learner(
         if not dataclasses.is_dataclass(config) or not hasattr(config, "arguments"):
             raise ValueError(f"{config!r} is not a configclass made of AlgoCfg or TensorAlgoCfg")
         fields = {field.name: field for field in dataclasses.fields(config)}
-        if fields["name"].default != name:
-            found = fields["name"].default
-            raise ValueError(f"the config of the learner {name!r} has the name {found!r}")
+        config_name = fields["name"].default
+        if config_name != name:
+            raise ValueError(f"the config of the learner {name!r} has the name {config_name!r}")
         entry = Learning(
             name=name,
             config=config,

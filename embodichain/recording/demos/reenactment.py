@@ -59,7 +59,7 @@ def config_of(log: RecordedLog) -> Resolved:
         "quiet": True,
         "video": False,
         "resume": None,
-        "trust": False,  # whoever made the log does not decide whom this machine trusts
+        "trust": False,  # a log does not decide which code this machine runs
     }
     tree = dict(tree)
     tree["seed"] = log.seed

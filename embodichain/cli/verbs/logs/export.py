@@ -52,7 +52,8 @@ class _FormatOption(click.Option):
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         """Look the formats up when help is asked for, not when the verb is imported."""
-        logs, policies = ", ".join(_log_formats()), ", ".join(_POLICIES)
+        logs = ", ".join(_log_formats())
+        policies = ", ".join(_POLICIES)
         self.help = f"Of a log: {logs} (`embodichain list formats`); of a policy: {policies}."
         return super().get_help_record(ctx)
 

@@ -37,7 +37,7 @@ def _read_reference(target: str, known: Known) -> tuple[dict[str, Any], list[Pro
     if not slash:
         return reference, []
     entity = known.get(uid)
-    if entity is None:  # whoever looks the entity up says so
+    if entity is None:  # the look-up of the entity reports it
         reference["link"] = name
         return reference, []
     frame, problems = find_frame(name, lambda kind: frame_names(entity, uid, kind), "", uid)

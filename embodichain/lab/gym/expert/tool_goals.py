@@ -62,7 +62,8 @@ class ToolGoals:
         """Position (n, 3) and orientation (n, 4) of the tool for a goal, in n environments."""
         tool_pos = self._path.path_pos[rows]
         tool_quat = self._path.path_quat[rows]
-        pos, axes = tool_pos, tool_quat
+        pos = tool_pos
+        axes = tool_quat
         if goal.target is not None:
             target_pos, target_quat = self._targets(goal.target)
             pos = target_pos[rows]

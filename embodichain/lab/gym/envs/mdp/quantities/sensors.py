@@ -285,8 +285,8 @@ class SensorReading(Term):
 def _check_reading(sensor: str, cfg: SensorCfg, reading: str | None) -> list[Problem]:
     if cfg.reads_images:
         return [Problem("sensor", f"{sensor!r} is a camera: its images are not columns")]
-    there = cfg.readings()
-    if reading is None or reading in there:
+    readings = cfg.readings()
+    if reading is None or reading in readings:
         return []
-    message = f"sensor {sensor!r} has no reading {reading!r}; it has: {', '.join(there)}"
-    return [Problem("reading", message, did_you_mean(reading, there).strip())]
+    message = f"sensor {sensor!r} has no reading {reading!r}; it has: {', '.join(readings)}"
+    return [Problem("reading", message, did_you_mean(reading, readings).strip())]

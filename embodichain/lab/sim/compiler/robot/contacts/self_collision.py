@@ -215,7 +215,7 @@ def _read_links(model: mujoco.MjModel) -> _Links:
     count = model.nbody
     weld: Ids = model.body_weldid.astype(np.int64)
     parent = weld[model.body_parentid[weld]]
-    # As MuJoCo's filter of parent and child, in which the world is nobody's parent.
+    # As MuJoCo's filter of parent and child, for which the world is not a parent.
     moving = (weld[:, None] != 0) & (weld[None, :] != 0)
     related = moving & ((weld[:, None] == parent[None, :]) | (parent[:, None] == weld[None, :]))
     excluded = np.zeros((count, count), bool)

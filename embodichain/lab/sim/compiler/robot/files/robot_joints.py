@@ -332,7 +332,8 @@ def read_joints(
     for joint, servos in zip(ids.tolist(), all_servos, strict=True):
         name = model.joint(joint).name
         dof = int(model.jnt_dofadr[joint])
-        lower, upper = -np.inf, np.inf
+        lower = -np.inf
+        upper = np.inf
         if model.jnt_limited[joint]:
             lower, upper = model.jnt_range[joint].tolist()
         is_urdf = name in urdf
