@@ -36,6 +36,7 @@ __all__ = [
     "StopFlag",
     "check_mujoco_gl",
     "check_text",
+    "interrupts_say",
     "own_modules",
     "report",
     "signals_raise",
@@ -60,6 +61,10 @@ _FAULTS = {
 """Errors of the operating system that are about the machine, not about what was typed."""
 _GL = "MUJOCO_GL"
 _TWICE = "interrupted twice: left without closing everything"
+_received: list[str] = []
+"""Name of the signal for which `signals_raise` raised an exception, until its context is left.
+
+Signal handlers belong to the process, and so does this."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -151,16 +156,16 @@ def signals_raise() -> Iterator[None]:
 
     Python ignores exceptions in finalizers and weak reference callbacks, and libraries in C may
     discard them. If the context is not left, the signal is delivered again: at once where Python
-    reports the exception, otherwise every ten seconds: removing partial files takes less.
+    reports the exception, otherwise every ten seconds: removing partial files takes less. Where a
+    library raises an error of its own instead (HDF5 does), that error becomes `Interrupted` again.
     """
-    came: list[str] = []
     timers: list[threading.Timer] = []
     hook = sys.unraisablehook
     main = threading.main_thread().ident
 
     def deliver(number: int, seconds: float) -> None:
         def send() -> None:
-            came.clear()
+            _received.clear()
             if hasattr(signal, "pthread_kill"):
                 signal.pthread_kill(main or 0, number)
             else:  # Windows
@@ -173,8 +178,8 @@ def signals_raise() -> Iterator[None]:
 
     def handle(number: int, frame: FrameType | None) -> None:
         name = signal.Signals(number).name
-        if not came:
-            came.append(name)
+        if not _received:
+            _received.append(name)
             deliver(number, 10.0)
             raise Interrupted.by(name, f"interrupted ({name})")
         if number == signal.SIGINT:
@@ -185,18 +190,46 @@ def signals_raise() -> Iterator[None]:
             hook(ignored)
             return
         timers.pop().cancel()
-        deliver(signal.Signals[came[0]], 0.01)
+        deliver(signal.Signals[_received[0]], 0.01)
 
     sys.unraisablehook = deliver_again
     try:
         with _handled_by(handle):
             try:
-                yield
+                with interrupts_say():
+                    yield
             finally:  # before other handlers could receive a signal
                 for timer in timers:
                     timer.cancel()
     finally:
         sys.unraisablehook = hook
+        _received.clear()
+
+
+@contextmanager
+def interrupts_say(consequence: str = "") -> Iterator[None]:
+    """Say in the message of `Interrupted` what the signal has left.
+
+    An error that a library raised in place of `Interrupted` becomes `Interrupted` again.
+
+    Args:
+        consequence: For example, "nothing was written".
+
+    Raises:
+        Interrupted: A signal came inside the context.
+    """
+    try:
+        yield
+    except (Exception, Interrupted) as error:
+        if not _received:
+            raise
+        name = _received[0]
+        message = f"interrupted ({name})"
+        if isinstance(error, Interrupted):
+            message = str(error)
+        if consequence:
+            message = f"{message}; {consequence}"
+        raise Interrupted.by(name, message) from error
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from embodichain.cli.jobs.job import ended_early, film_progress
 from embodichain.cli.jobs.trained import Target, one_target
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.terminal.output import print_json, say_warnings
-from embodichain.cli.terminal.process import Interrupted, StopFlag
+from embodichain.cli.terminal.process import Interrupted, StopFlag, interrupts_say
 from embodichain.cli.terminal.reporting import ProgressDisplay, warnings_on_stderr
 from embodichain.cli.verb import verb
 from embodichain.cli.words import log_of, pair
@@ -204,7 +204,7 @@ def _export_episodes(form: str, options: ExportOptions) -> None:
             if display.due:
                 display.show(done, {})
 
-        try:
+        with interrupts_say(_NOTHING):
             path = export_episodes(
                 paths,
                 form,
@@ -213,8 +213,6 @@ def _export_episodes(form: str, options: ExportOptions) -> None:
                 failures=options.failures,
                 progress=progress,
             )
-        except Interrupted as error:
-            raise Interrupted(f"{error}; {_NOTHING}") from None
     if options.json:
         print_json({"file": str(path), "bytes": _size(path), "episodes": count})
     else:
@@ -310,10 +308,8 @@ def _write(log: Log, form: str, part: Part, out: str | None) -> Path:
     """Write any format but a video; a signal leaves no file."""
     from embodichain.recording.export.log_export import export
 
-    try:
+    with interrupts_say(_NOTHING):
         return export(log, form, out, part)
-    except Interrupted as error:
-        raise Interrupted(f"{error}; {_NOTHING}") from None
 
 
 def _film(log: Log, form: str, part: Part, options: ExportOptions) -> tuple[Path, str]:
