@@ -26,12 +26,10 @@ from embodichain.learning.training.keeper import state_path
 from embodichain.learning.training.tensor_training import TensorAlgorithm, TensorSession
 from embodichain.learning.training.train import check_algorithm, train
 from embodichain.utils.errors import ConfigError
+from tests.helpers.extras import needs
 from tests.learning.counting import CountingEnv
 
-pytestmark = pytest.mark.slow
-
-for package in ("rsl_rl", "skrl"):
-    pytest.importorskip(package)
+pytestmark = [needs("rsl_rl", "skrl"), pytest.mark.slow]
 
 LINES = ("task=reach", "task.max_episode_steps=7", "num_envs=4", "sim.num_threads=1", "seed=1")
 RSL_RL = ("algo=rsl_rl_ppo", "algo.num_steps_per_env=8", "algo.num_learning_epochs=2")
