@@ -21,6 +21,10 @@
 #
 # PYTHON=python3.13 chooses the interpreter, VENV=DIR the place.
 
+# Python keeps the bytecode of what it imports, whatever the shell sets: tests start hundreds of
+# processes, and each would compile the sources of torch and of its like anew, 2 s of CPU time.
+unexport PYTHONDONTWRITEBYTECODE
+
 PYTHON ?= python3
 VENV ?= .venv
 LEROBOT ?= .venv-lerobot
@@ -72,7 +76,8 @@ system-tests: system
 	@sh scripts/system_deps.sh $(PYTHON) chromium slurmctld slurmd slurm-client munge
 
 # worksteal: neighbours share a worker, so what a module builds once (a wheel, a log) is rarely built
-# twice, and no worker is idle while the other has a long module left.
+# twice, and no worker is idle while the other has a long module left: tests/helpers/costs.py orders
+# the tests so that fast ones are left for the end.
 # One more than there are cores: tests of clusters, signals and servers wait.
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --costs $(COSTS)
 

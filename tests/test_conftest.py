@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -51,8 +52,9 @@ def test_it():
 }
 
 
-def pytest_of(folder: Path, root: Path, *words: str) -> str:
-    for name, text in MODULES.items():
+def pytest_of(folder: Path, root: Path, *words: str, modules: Mapping[str, str] = MODULES) -> str:
+    for name, text in modules.items():
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)
     command = [
         sys.executable,
@@ -88,3 +90,21 @@ def test_costs_are_those_of_a_modules_processes_too(
     assert list(costs) == ["fast", "slow", "cluster", "slow test_costly.py"]
     assert costs["slow test_costly.py"] == costs["slow"] >= 1.0 > costs["fast"]
     assert costs["cluster"] == 0.0
+
+
+def test_spread_gives_each_worker_slow_tests_before_its_last_fast_ones(
+    tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten tests of two workers: five each, of which a whole folder is slow."""
+    monkeypatch.setenv("PYTEST_XDIST_WORKER_COUNT", "2")
+    text = "import pytest\npytestmark = pytest.mark.{}\n"
+    two = "def test_1():\n    pass\ndef test_2():\n    pass\n"
+    tiers = {"a/test_a.py": "fast", "a/test_b.py": "slow", "b/test_c.py": "cluster"}
+    tiers |= {"c/test_d.py": "slow", "d/test_e.py": "fast"}
+    modules = {name: text.format(tier) + two for name, tier in tiers.items()}
+    listed = pytest_of(tmp_path, request.config.rootpath, "--collect-only", "-q", modules=modules)
+    order = re.findall(r"test_(\w)\.py::test_(\d)", listed)
+    assert ["".join(test) for test in order] == [
+        *("c1", "c2", "d1", "d2", "a1"),
+        *("a2", "b1", "b2", "e1", "e2"),
+    ]

@@ -114,6 +114,7 @@ def test_figures_of_a_changed_package_are_marked(
     (row,) = history.rows_of_git(root)
     assert row.figures == {"embodichain --help, CPU s": (1.0, "CPU s")}
 
+    # A repository of its own: the checkout's history changes.
     monkeypatch.setattr(history, "ROOT", root)
     rows = tmp_path / "rows.jsonl"
     for step in ("clean", "changed"):

@@ -45,6 +45,7 @@ def test_bare_physics_are_those_of_the_environment(monkeypatch):
 
     env = arms.make("cart_pole", 2, "sim.engine=warp", seed=0)
     env.reset()
+    # CUDA's worlds, of which this counts the calls.
     monkeypatch.setattr(warp_worlds, "WarpWorlds", Worlds)
     arm = warp_speed.bare("cart_pole", env)
     arm.prepare()

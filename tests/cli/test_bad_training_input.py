@@ -155,6 +155,7 @@ def test_a_full_disk_after_a_checkpoint_says_how_to_go_on(tmp_path, monkeypatch,
             raise OSError(28, "No space left on device")
         real(model, path, note)
 
+    # A disk that is full at one file; test_faults.py has real ones for all other calls.
     monkeypatch.setattr(session, "save_checkpoint", full)
     assert main(["train", *TINY, "total_timesteps=64", "--quiet"]) == 1
     err = capsys.readouterr().err

@@ -43,6 +43,7 @@ def counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, int]:
         return call
 
     for module in (declared_scene, scene_module):
+        # Counts calls, which nothing else tells but the time.
         monkeypatch.setattr(module, "compile_scene", counted("scenes", module.compile_scene))
     read = counted("files", articulation.read_robot)
     monkeypatch.setattr(articulation, "read_robot", read)

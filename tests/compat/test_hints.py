@@ -42,6 +42,7 @@ def _hints() -> Iterator[str]:
         REASONS,
         functors.LEFT_OUT,
         functors.PARAMS_LEFT_OUT,
+        # Hints of options, which the verb has no other list of.
         run_env._NO_EFFECT,
         {
             name: getattr(vocabulary, name)

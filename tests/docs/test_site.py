@@ -225,6 +225,7 @@ def test_a_page_without_a_place_is_appended_to_the_guides(monkeypatch, tmp_path)
         config = load_config(str(DOCS / "site" / "mkdocs.yml"), site_dir=str(tmp_path))
         uris = ("cli.md", "new/page.md")
         files = [File(uri, str(DOCS), str(tmp_path), use_directory_urls=False) for uri in uris]
+        # The hook that MkDocs calls in `on_files`, without a site to build.
         hooks._complete(config, Files(files))
     finally:
         for name in ("hooks", "notebook_pages"):

@@ -17,7 +17,7 @@ CALLS = 20
 FEW = 3
 """Calls of an export, in each of seven formats, and of a run with a picture."""
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

@@ -60,6 +60,7 @@ def test_what_was_randomized_before_the_log_belongs_to_it(tmp_path, monkeypatch,
             kept["dof_invweight0"] = kept["dof_invweight0"] * 1.01
         return start(self, step, rows, kept)
 
+    # A recorder with a bug, which `verify` has to find.
     monkeypatch.setattr(LogWriter, "start", forgetful)
     record(tmp_path / "log.mcap", late=True)
     assert not verify(tmp_path / "log.mcap").ok

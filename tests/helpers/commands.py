@@ -8,8 +8,7 @@ about the start itself (imports, encodings, variables that libraries read) needs
 
 from __future__ import annotations
 
-import importlib
-import io
+import atexit
 import json
 import os
 import runpy
@@ -26,28 +25,18 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+from tests.helpers.forking import (
+    import_again,
+    import_first,
+    imported_since,
+    open_stdout_and_stderr,
+)
+
 __all__ = ["Command", "Commands", "commands", "cpu_seconds"]
 
 _ROOT = Path(__file__).parents[2]
 _LONGEST = 1 << 17
 """Bytes of a request."""
-_WARM = (
-    "PIL.Image",
-    "embodichain.cli.jobs.work.collect_job",
-    "embodichain.cli.jobs.work.evaluate_job",
-    "embodichain.cli.jobs.work.run_job",
-    "embodichain.cli.jobs.work.train_job",
-    "embodichain.cli.sweeps.sweeping",
-    "embodichain.config.environments.factory",
-    "embodichain.learning.training.train",
-    "embodichain.tasks",
-    "hydra",
-    "matplotlib",
-    "mcap",
-    "mujoco",
-    "stable_baselines3",
-    "torch",
-)
 
 
 _cpu_seconds: list[float] = []
@@ -194,8 +183,8 @@ def commands() -> Iterator[Commands]:
 
 def _serve(address: str) -> bool:
     """Fork commands until stdin is closed; returns whether this process is such a fork."""
-    for name in _WARM:  # a name that has moved fails here, not as a slow start of each command
-        importlib.import_module(name)
+    import_first()
+    folder = Path(address).parent
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
         listener.bind(address)
         listener.listen()
@@ -203,11 +192,15 @@ def _serve(address: str) -> bool:
         while sys.stdin not in (ready := select.select([sys.stdin, listener], [], [])[0]):
             connection, _ = ready[0].accept()
             request, pipes, _, _ = socket.recv_fds(connection, _LONGEST, 2)
+            for note in folder.glob("*.json"):
+                import_again(json.loads(note.read_text()))
+                note.unlink()
             keeper = os.fork()
             if not keeper:
                 listener.close()
                 if _forked(connection, *pipes):
                     _become(json.loads(request))
+                    atexit.register(_note_imports, folder, os.getpid(), set(sys.modules))
                     return True
             for descriptor in (connection.detach(), *pipes):
                 os.close(descriptor)
@@ -239,13 +232,7 @@ def _forked(connection: socket.socket, out: int, err: int) -> bool:
 def _become(request: Mapping[str, object]) -> None:
     """Make this process what `python -m embodichain` begins with."""
     sys.stdin = open(0, closefd=False)  # noqa: SIM115
-    sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), encoding="utf-8")
-    sys.stderr = io.TextIOWrapper(
-        io.FileIO(2, "w", closefd=False),
-        encoding="utf-8",
-        errors="backslashreplace",
-        line_buffering=True,
-    )
+    open_stdout_and_stderr()
     os.environ.clear()
     os.environ.update(request["env"])  # type: ignore[call-overload]
     if "COVERAGE_PROCESS_CONFIG" not in os.environ:  # of a test that is marked `unmeasured`
@@ -254,6 +241,15 @@ def _become(request: Mapping[str, object]) -> None:
     os.chdir(str(request["cwd"]))
     sys.path[0] = str(request["cwd"])
     sys.argv[1:] = list(request["arguments"])  # type: ignore[call-overload]
+
+
+def _note_imports(folder: Path, pid: int, before: set[str]) -> None:
+    """Write what the command has imported, for the process that forks."""
+    if os.getpid() != pid or not folder.is_dir():
+        return  # a process that the command has forked; or nobody forks any more
+    part = folder / f"{pid}.part"
+    part.write_text(json.dumps(imported_since(before)))
+    part.rename(folder / f"{pid}.json")
 
 
 if __name__ == "__main__" and _serve(sys.argv[1]):

@@ -6,7 +6,8 @@ prints the 30 most expensive modules, and what the tiers cost (`make test COSTS=
 
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,6 +22,7 @@ __all__ = [
     "pytest_sessionfinish",
     "pytest_terminal_summary",
     "pytest_testnodedown",
+    "spread",
     "tier",
 ]
 
@@ -38,11 +40,50 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--costs", type=int, default=0, help="how many modules' CPU seconds to print")
 
 
-@pytest.hookimpl(tryfirst=True)  # before `-m` chooses
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+@pytest.hookimpl(wrapper=True, tryfirst=True)  # before `-m` chooses, and after it
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
     for item in items:
         if tier(item) == "fast":
             item.add_marker(pytest.mark.fast)
+    yield
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    if workers > 1:
+        items[:] = spread(items, workers)
+
+
+def spread(items: Sequence[pytest.Item], workers: int) -> list[pytest.Item]:
+    """Order tests so that each worker of xdist has its slow tests before its last fast ones.
+
+    xdist gives each worker an equal number of consecutive tests, and work is stolen from the end of
+    a share. In the order of their files, one worker would have most of the slow tests, and all
+    would wait for the last of them. Folders of slow tests are dealt out in turn, since modules of
+    one folder share what they build. The clusters, whose nodes have to start in time, wait for each
+    other in the first share, while the other workers have fast tests.
+
+    Args:
+        items: The tests.
+        workers: The number of workers.
+    """
+    shares: list[list[pytest.Item]] = [[] for _ in range(workers)]
+    fast: list[pytest.Item] = []
+    owner: dict[Path, int] = {}
+    for item in sorted(items, key=lambda item: tier(item) != "cluster"):
+        if tier(item) == "cluster":
+            shares[0].append(item)
+        elif tier(item) == "slow":
+            folder = item.path.parent
+            number = owner.setdefault(folder, (len(owner) + 1) % workers)
+            shares[number].append(item)
+        else:
+            fast.append(item)
+    ordered: list[pytest.Item] = []
+    for number, share in enumerate(shares):
+        size = (len(items) - len(ordered)) // (workers - number)  # as xdist divides them
+        missing = max(0, size - len(share))
+        before = missing // 2 if number else 0
+        ordered += [*fast[:before], *share, *fast[before:missing]]
+        del fast[:missing]
+    return ordered
 
 
 def _cpu() -> float:

@@ -22,40 +22,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Self
 
+from tests.helpers.forking import (
+    import_again,
+    import_first,
+    imported_since,
+    open_stdout_and_stderr,
+)
+
 __all__ = ["Ended", "Forks", "verb_forks"]
 
 SOURCE = Path(__file__).with_name("nth_call.c")
-_WARM = (
-    "embodichain.cli.results.report_page",
-    "embodichain.cli.sweeps.sweeping",
-    "embodichain.cli.jobs.work.collect_job",
-    "embodichain.cli.verbs.logs.export",
-    "embodichain.cli.verbs.logs.recover",
-    "embodichain.cli.verbs.logs.report",
-    "embodichain.cli.jobs.work.run_job",
-    "embodichain.cli.jobs.work.train_job",
-    "embodichain.config.environments.factory",
-    "embodichain.learning.training.train",
+_EXTRAS = (
     "embodichain.recording.export.episode_formats.lerobot",
     "embodichain.recording.export.episode_formats.robomimic",
     "embodichain.recording.export.formats.ros2",
     "embodichain.recording.export.formats.parquet",
-    "embodichain.tasks",
     "h5py",
-    "hydra",
-    "matplotlib.pyplot",
-    "mcap",
-    "mujoco",
     "pandas",
-    "PIL.Image",
     "pyarrow.parquet",
     "rosbags.typesys",
-    "stable_baselines3",
-    "torch._dynamo",
 )
-"""What commands import."""
-_ALONE = ("OpenGL", "mujoco.", "__", "IPython", "ray")
-"""Modules that start something where they are imported, which a fork would share."""
+"""What commands with packages of extras import."""
 
 
 def _build(folder: Path) -> Path:
@@ -215,7 +202,8 @@ def _serve() -> None:
 
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    _import(_WARM)
+    import_first()
+    import_again(_EXTRAS)
     running: dict[int, _Fork] = {}
     for line in sys.stdin:
         request = json.loads(line)
@@ -241,15 +229,6 @@ def _file() -> IO[bytes]:
     return os.fdopen(os.memfd_create("fork"), "w+b", buffering=0)
 
 
-def _import(names: Sequence[str]) -> None:
-    import importlib
-    from contextlib import suppress
-
-    for name in names:
-        with suppress(Exception):  # an extra that is not installed
-            importlib.import_module(name)
-
-
 def _ended(pid: int, fork: _Fork, kill_after: float | None) -> dict[str, Any]:
     """Wait for a fork; import what it imported, so that no other has to."""
     code = os.waitstatus_to_exitcode(_waited(pid, kill_after))
@@ -257,7 +236,7 @@ def _ended(pid: int, fork: _Fork, kill_after: float | None) -> dict[str, Any]:
         fork.err.seek(0)
         fork.told.seek(0)
         told = json.loads(fork.told.read() or b'{"calls": [], "failed": "", "imported": []}')
-        _import(told.pop("imported"))
+        import_again(told.pop("imported"))
         return {"code": code, "err": fork.err.read().decode(errors="replace"), **told}
 
 
@@ -283,8 +262,7 @@ def _child(request: dict[str, Any], fork: _Fork) -> None:
     try:
         os.dup2(fork.err.fileno(), 1)
         os.dup2(fork.err.fileno(), 2)
-        sys.stdout = io.TextIOWrapper(io.FileIO(1, "w"), line_buffering=True)
-        sys.stderr = io.TextIOWrapper(io.FileIO(2, "w"), line_buffering=True)
+        open_stdout_and_stderr()
         below = request["below"]
         os.chdir(below)
         library: Any = ctypes.CDLL(None)
@@ -296,9 +274,7 @@ def _child(request: dict[str, Any], fork: _Fork) -> None:
         told = {
             "calls": library.nth_list().decode().splitlines(),
             "failed": library.nth_failed().decode(),
-            "imported": [
-                name for name in sys.modules if name not in before and not name.startswith(_ALONE)
-            ],
+            "imported": imported_since(before),
         }
         os.write(fork.told.fileno(), json.dumps(told).encode())
     finally:

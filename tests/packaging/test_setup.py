@@ -172,3 +172,18 @@ def test_old_python_is_refused(repo: Path, tmp_path: Path) -> None:
     )
     assert done.returncode != 0
     assert "Python 3.11 or newer is needed" in done.stderr
+
+
+def test_bytecode_is_kept_whatever_the_shell_says(
+    machine: Machine, repo: Path, tmp_path: Path
+) -> None:
+    """Each of the processes that tests start would compile its imports again."""
+    machine.tool("dpkg-query", INSTALLED)
+    for stamp in (".installed", ".installed-dev"):
+        (tmp_path / stamp).touch()
+    machine.tool("python", '#!/bin/sh\necho "kept${PYTHONDONTWRITEBYTECODE-}"\n')  # of VENV
+    command = ["make", "-s", "-C", repo, "test-fast", f"VENV={tmp_path}", "PYTHON=true"]
+    shell = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    shell |= {"PATH": f"{machine.bin}:{shell['PATH']}", "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=shell)
+    assert done.stdout.splitlines()[-1] == "kept"

@@ -71,6 +71,7 @@ def test_curves_grow_with_the_steps(
     with dashboard(screen, monkeypatch) as display:
         for steps, successes in ((0, 0), (20_000, 1), (40_000, 1)):
             statistics.env_steps = steps
+            # The rate is of the last 100 episodes: one alone lets it jump.
             statistics._successes.clear()
             statistics._successes.append(bool(successes))
             display.update(statistics)

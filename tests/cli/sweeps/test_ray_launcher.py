@@ -10,12 +10,17 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
+from tests.helpers.extras import needs
 from tests.helpers.inside import places_of
 from tests.helpers.ray_cluster import ray_cluster
 from tests.helpers.sweeps import TINY, summary
 
-pytest.importorskip("ray", reason="no ray: pip install 'embodichain[ray]'")
-pytestmark = [pytest.mark.unmeasured, pytest.mark.cluster, pytest.mark.timeout(600)]
+pytestmark = [
+    needs("ray"),
+    pytest.mark.unmeasured,
+    pytest.mark.cluster,
+    pytest.mark.timeout(600),
+]
 GUARD = 240.0
 """Seconds after which something hangs."""
 

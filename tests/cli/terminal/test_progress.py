@@ -43,5 +43,6 @@ def test_due_is_a_matter_of_time() -> None:
     """A loop may ask in every step: without a terminal nothing is due for seconds."""
     with ProgressDisplay("reach", 1, "episodes") as display:
         assert not display.due
+        # As when its seconds have passed.
         display._due = 0.0
         assert display.due

@@ -82,6 +82,7 @@ def test_a_browser_starts_it_and_the_last_episode_ends_it(tmp_path):
 
 def test_a_page_that_nobody_opens_waits_until_it_is_stopped(tmp_path, monkeypatch, capsys):
     opened = []
+    # A desktop whose user stops the command once the page is open.
     monkeypatch.setattr(demo.webbrowser, "open", lambda url: opened.append(url) or False)
     monkeypatch.setattr("embodichain.utils.system.display.has_display", lambda: True)
     monkeypatch.setattr(

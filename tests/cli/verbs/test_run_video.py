@@ -21,6 +21,7 @@ TINY = ["task=cart_pole", "policy=zero", "num_envs=1", "max_steps=40", "seed=1",
 
 
 def test_a_run_is_filmed_as_it_says(tmp_path: Path, capsys, monkeypatch) -> None:
+    # It is said only of films that take seconds.
     monkeypatch.setattr(jobs, "_SAY_AFTER", 0.0)
     film = ["video=true", "video.size=[96,64]", "video.every=2", "video.max_seconds=0.4"]
     assert main(["run", *TINY, *film, "episodes=50", f"output_dir={tmp_path}"]) == 0

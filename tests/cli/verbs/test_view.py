@@ -112,6 +112,7 @@ def test_the_verb_serves_until_it_is_interrupted(log, capsys, monkeypatch):
         while not stopped():
             time.sleep(0.01)
 
+    # A server that is stopped at once; its own tests have clients.
     monkeypatch.setattr(foxglove, "stream_log", interrupted)
     assert main(["view", str(log), "--serve", "--port", "0", "--speed", "2"]) == 0
     assert "playing it at ws://127.0.0.1:" in capsys.readouterr().out

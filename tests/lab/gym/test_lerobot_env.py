@@ -131,6 +131,7 @@ def test_features_and_first_frames_are_those_of_the_exported_data(tmp_path):
         assert np.array_equal(obs[name], recorded)
     eye = "observation.images.eye"
     assert tuple(features[eye]["shape"]) == vector.features[eye][1] == (24, 32, 3)
+    # LeRobot's interface has no sensors: the picture itself, from the environment inside.
     seen = vector._batch.env.get_sensor("eye").read("color")
     assert np.array_equal(obs["pixels"]["eye"], np.asarray(seen)[..., :3])
     assert vector.single_observation_space["pixels"]["eye"].shape == (24, 32, 3)

@@ -30,6 +30,7 @@ def test_a_chunk_begins_with_the_action_of_this_step():
     made = policy(chunk_size=3)
     plan = made.plan(OBS)
     assert plan.shape == (5, 3, 2) and made.has_memory
+    # Before they are clipped to what the environment takes.
     first = made._predict(torch.from_numpy(OBS)).detach().numpy()
     np.testing.assert_array_equal(first.clip(-1, 1), plan[:, 0])
     actions, memory = made.predict(OBS)
@@ -172,10 +173,12 @@ def test_held_out_episodes_are_not_learned_from(clone):
     model, found = clone
     model.validation_share = 0.5
     model.set_demonstrations(found)
+    # How demonstrations are divided shows in nothing but the losses.
     learned, held = (set(found.episode[part._steps]) for part in (model._data, model._held_out))
     assert len(learned) == len(held) == 3 and not learned & held
     again = BehaviorCloning("MlpPolicy", model.env, validation_share=0.5, seed=1, device="cpu")
     again.set_demonstrations(found)
+    # The same division, for the same seed.
     np.testing.assert_array_equal(again._data._steps, model._data._steps)
 
 
@@ -183,6 +186,7 @@ def test_a_chunk_ends_with_its_episode(clone):
     model, found = clone
     model.validation_share = 0.0
     model.set_demonstrations(found)
+    # What is learned from: chunks, of which some reach beyond the end of their episode.
     seen, actions, inside = model._data.batch(np.array([2, 3, 4]), 3, torch.device("cpu"))
     np.testing.assert_array_equal(seen[:, 1:], [[0, 2], [0, 3], [1, 0]])
     np.testing.assert_array_equal(inside, [[1, 1, 0], [1, 0, 0], [1, 1, 1]])

@@ -26,6 +26,7 @@ def columns(counted: EpisodeStatistics) -> dict[str, list[Any]]:
 @pytest.mark.parametrize("first", [1, 7])
 def test_statistics_and_steps_are_the_same(first: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """For calls of any length, and shards that finish at different times, or are lost."""
+    # Lengths of calls change no result, so no key sets them.
     monkeypatch.setattr(sharded_play, "_FIRST_STEPS", first)
     one = build(0, 5)
     whole, quota = EpisodeStatistics(5, 3), 3
@@ -61,6 +62,7 @@ def test_the_number_of_steps_can_be_limited() -> None:
 
 
 def test_calls_become_longer_or_shorter(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Lengths follow from the time on a clock: bounds of which each call is on one side.
     monkeypatch.setattr(sharded_play, "_FIRST_STEPS", 4)
     for short, long, expected in ((1e9, 2e9, [4, 8, 16]), (-1.0, 0.0, [4, 2, 1])):
         monkeypatch.setattr(sharded_play, "_SHORT_CALL_S", short)

@@ -85,6 +85,7 @@ def test_entries_on_another_device_are_copied_once(env, monkeypatch):
         return numpy(tensor, **kwargs)
 
     for vec_env in (SB3VecEnv(env, flatten=False), SB3VecEnv(env, "alone")):
+        # Arrays of a device are sent in one piece; those of the CPU, without packing, are the same.
         wanted = vec_env._on_host(obs, *others[:3])
         vec_env._packs = True
         copies.clear()

@@ -52,6 +52,7 @@ def test_counting_goes_on_to_the_bit(tmp_path):
     obs = np.float32([[1, 2, 3]] * 3)
     for each in (env, other):
         each.obs_rms.update(obs)
+        # What Stable-Baselines3 does in `step_wait`, without an environment.
         each._update_reward(np.float32([1, 2, 3]))
     kept = [NormalizeStatistics.of(each) for each in (env, other)]
     np.testing.assert_equal(dataclasses.asdict(kept[0]), dataclasses.asdict(kept[1]))

@@ -97,6 +97,7 @@ def test_vectors_on_another_device_are_copied_once(monkeypatch):
         return numpy(self, **kwargs)
 
     envs = [SB3VecEnv(CountingEnv([2, 0, 3], limit=4)) for _ in range(2)]
+    # As on a device, whose arrays are sent to the host in one piece.
     envs[1]._packs = True
     for env in envs:
         env.reset()

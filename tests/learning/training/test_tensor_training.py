@@ -2,9 +2,12 @@
 
 import csv
 import dataclasses
+import functools
 import importlib.util
 import json
+import shutil
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,14 +27,12 @@ from embodichain.learning.sb3.vec_env import ENDS
 from embodichain.learning.tensors.tensor_env import TensorEnv
 from embodichain.learning.training.keeper import state_path
 from embodichain.learning.training.tensor_training import TensorAlgorithm, TensorSession
-from embodichain.learning.training.train import check_algorithm, train
+from embodichain.learning.training.train import TrainSummary, check_algorithm, train
 from embodichain.utils.errors import ConfigError
+from tests.helpers.extras import needs
 from tests.learning.counting import CountingEnv
 
-pytestmark = pytest.mark.slow
-
-for package in ("rsl_rl", "skrl"):
-    pytest.importorskip(package)
+pytestmark = [needs("rsl_rl", "skrl"), pytest.mark.slow]
 
 LINES = ("task=reach", "task.max_episode_steps=7", "num_envs=4", "sim.num_threads=1", "seed=1")
 RSL_RL = ("algo=rsl_rl_ppo", "algo.num_steps_per_env=8", "algo.num_learning_epochs=2")
@@ -77,27 +78,53 @@ def everything(run):
     return np.concatenate(leaves(read_tree(run / "checkpoints/final.state.npz")["training"]))
 
 
+@dataclasses.dataclass(frozen=True)
+class Trained:
+    """A training of two updates that has ended, for tests that only read its folder.
+
+    Attributes:
+        folder: Its folder.
+        summary: What `train` returned.
+        seen: Steps and episodes at each call of `progress`.
+    """
+
+    folder: Path
+    summary: TrainSummary
+    seen: list[tuple[int, int]]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Trains with an algorithm, once."""
+
+    @functools.cache
+    def of(algo):
+        path, seen = tmp_path_factory.mktemp("trained"), []
+
+        def progress(statistics):
+            seen.append((statistics.env_steps, statistics.episodes))
+
+        return Trained(path, train(config(*algo, TWO), path, progress), seen)
+
+    return of
+
+
 @BOTH
-def test_two_updates_make_a_checkpoint_that_plays(tmp_path, algo):
-    seen = []
-
-    def progress(statistics):
-        seen.append((statistics.env_steps, statistics.episodes))
-
-    resolved = config(*algo, TWO)
-    summary = train(resolved, tmp_path, progress)
-    assert files(tmp_path) == FILES
+def test_two_updates_make_a_checkpoint_that_plays(trained, algo):
+    run, resolved = trained(algo), config(*algo, TWO)
+    summary, seen = run.summary, run.seen
+    assert files(run.folder) == FILES
     assert [steps for steps, _ in seen] == list(range(4, 65, 4))
     assert seen[7][1] == 0 and seen[8][1] == 4  # episodes are counted at the end of a rollout
     assert (summary.env_steps, summary.episodes, summary.status) == (64, 8, "finished")
-    assert json.loads((tmp_path / "summary.json").read_text()) == dataclasses.asdict(summary)
+    assert json.loads((run.folder / "summary.json").read_text()) == dataclasses.asdict(summary)
     assert sum(summary.time_fractions.values()) == pytest.approx(1, abs=1e-3)
-    note = read_note(tmp_path / summary.checkpoint)
+    note = read_note(run.folder / summary.checkpoint)
     assert note.pop("trained_in").startswith('{"format":1,')
     assert note == {"algo": algo[0][5:], "group": "policy", "task": "reach", "env_steps": 64}
     env = make_env(resolved)
     try:
-        policy = load_policy(tmp_path, env)
+        policy = load_policy(run.folder, env)
         obs, _ = env.reset()
         low, high = map(
             torch.from_numpy, (env.single_action_space.low, env.single_action_space.high)
@@ -111,9 +138,8 @@ def test_two_updates_make_a_checkpoint_that_plays(tmp_path, algo):
 
 
 @BOTH
-def test_rows_have_the_columns_of_other_trainings(tmp_path, algo):
-    train(config(*algo, TWO), tmp_path)
-    with (tmp_path / "progress.csv").open() as stream:
+def test_rows_have_the_columns_of_other_trainings(trained, algo):
+    with (trained(algo).folder / "progress.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [int(row["time/total_timesteps"]) for row in rows] == [32, 64]
     last = {name: float(value) for name, value in rows[-1].items() if value}
@@ -155,9 +181,9 @@ def test_seed_decides_everything(tmp_path, algo):
     assert not np.array_equal(first, other)
 
 
-def test_a_state_of_another_network_is_refused(tmp_path):
-    run, other = folder(tmp_path, "run"), folder(tmp_path, "other")
-    train(config(*RSL_RL, TWO), run)
+def test_a_state_of_another_network_is_refused(trained, tmp_path):
+    run, other = tmp_path / "run", folder(tmp_path, "other")
+    shutil.copytree(trained(RSL_RL).folder, run)
     with pytest.raises(ConfigError, match="its state does not fit: .*size mismatch"):
         train(config(*RSL_RL, FOUR, "algo.hidden_dims=[9]", f"resume={run}"), other)
     path = state_path(run / "checkpoints/final.zip")
@@ -171,12 +197,12 @@ def test_a_state_of_another_network_is_refused(tmp_path):
 
 @BOTH
 @pytest.mark.parametrize("form", FORMATS)
-def test_exported_files_act_as_the_checkpoint(tmp_path, algo, form):
-    train(config(*algo, TWO), tmp_path)
+def test_exported_files_act_as_the_checkpoint(trained, tmp_path, algo, form):
+    run = trained(algo).folder
     out = tmp_path / f"policy{FORMATS[form]}"
     env = embodichain.make("reach", 3, ["seed=2", "task.max_episode_steps=7"])
     try:
-        policy = load_policy(tmp_path, env)
+        policy = load_policy(run, env)
         assert export_policy(policy, env, out, form) < 1e-5
         obs, _ = env.reset()
         exported = load_policy(out, env)
@@ -191,13 +217,12 @@ def test_exported_files_act_as_the_checkpoint(tmp_path, algo, form):
         env.close()
 
 
-def test_a_checkpoint_gives_mean_actions_and_runs_no_code(tmp_path, caplog):
-    train(config(*RSL_RL, TWO), tmp_path)
-    final = tmp_path / "checkpoints/final.zip"
+def test_a_checkpoint_gives_mean_actions_and_runs_no_code(trained, tmp_path, caplog):
+    final = trained(RSL_RL).folder / "checkpoints/final.zip"
     with zipfile.ZipFile(final) as archive:
         assert archive.namelist() == ["data", "policy.pt"]
     alone = tmp_path / "elsewhere.zip"
-    final.rename(alone)
+    shutil.copy(final, alone)
     load_policy(alone)
     assert "runs code" not in caplog.text
     with pytest.raises(ConfigError, match="mean actions only: leave deterministic=false out"):
@@ -224,12 +249,11 @@ def test_a_checkpoint_acts_as_the_actor_did_in_training(tmp_path):
     assert found.metadata.columns == ("where/id[0]", "time[0]", "time[1]")
 
 
-def test_another_task_is_refused(tmp_path):
-    train(config(*SKRL, TWO), tmp_path)
+def test_another_task_is_refused(trained):
     env = embodichain.make("reach", 2, ["task.max_episode_steps=9"])
     try:
         with pytest.raises(ConfigError, match="max_episode_steps 7 -> 9"):
-            load_policy(tmp_path, env)
+            load_policy(trained(SKRL).folder, env)
     finally:
         env.close()
 

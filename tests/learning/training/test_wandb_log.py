@@ -9,10 +9,9 @@ from embodichain.config import resolve
 from embodichain.learning.training import train_logs
 from embodichain.learning.training.train import check_training, train
 from embodichain.utils.errors import ConfigError, EmbodichainError
+from tests.helpers.extras import needs
 
-pytestmark = pytest.mark.slow
-
-wandb = pytest.importorskip("wandb")
+pytestmark = [needs("wandb"), pytest.mark.slow]
 
 TINY = (
     *("task=reach", "task.max_episode_steps=5", "num_envs=4", "sim.num_threads=1", "seed=1"),
@@ -32,6 +31,7 @@ def alone(monkeypatch, tmp_path):
 
 def records(folder):
     """What the run wrote, in order."""
+    import wandb
     from wandb.proto import wandb_internal_pb2
     from wandb.sdk.internal.datastore import DataStore
 

@@ -74,6 +74,7 @@ def test_places_in_the_file_are_used_again(make):
             expected = rows([*seen[first:number], seen[-1]], 1)
             assert np.array_equal(found["front"], expected["front"])
             assert np.array_equal(found["qpos"], expected["qpos"])
+        # It has no name in any folder.
         store._file.seek(0, 2)
         size = store._file.tell()
     image = N * 3 * SIDE * SIDE

@@ -207,6 +207,7 @@ def test_no_message_is_made_without_a_subscription(monkeypatch):
     view = FoxgloveView(env, port=0, fps=1e9)
     env.add_observer(view)
     made = []
+    # Without a client nothing is sent: what would be made is seen here only.
     monkeypatch.setattr(view._views, "on_rows", lambda *rest: made.append(rest))
     env.reset()
     for _ in range(5):

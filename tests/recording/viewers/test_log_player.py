@@ -76,6 +76,7 @@ def test_states_come_in_order_with_rewards_and_each_episodes_model(path):
 
 
 def test_it_begins_anew_and_goes_on_with_another_environment(path, monkeypatch):
+    # It shows the last state for a second.
     monkeypatch.setattr("embodichain.recording.viewers.log_player._AT_THE_END", 0.0)
 
     def choose(screen):

@@ -18,12 +18,14 @@ def test_the_model_is_sent_again_when_the_environment_shown_is_painted():
         env.reset()
         view = WebView(env, PageOptions(realtime=False))
         env.add_observer(view)
+        # A browser's connection, without a browser.
         with visit(view._page) as state:
             assert until(lambda: view.watched)
             first = crc_of(state)
             env.reset(options={"env_ids": [1]})
             env.reset(options={"env_ids": [0]})
             assert until(lambda: crc_of(state) != first)
+            # What is sent only if it has changed.
             second, before = crc_of(state), view._page._looks
             env.reset(options={"env_ids": [1, 2]})
             assert view._page._looks == before
@@ -48,6 +50,7 @@ def test_terms_are_told_as_they_add_up_to_the_reward():
         env.add_observer(view)
         told = []
         view._page.show = lambda row, facts: told.append(facts)
+        # A browser's connection; facts are sent 20 times a second, or at once.
         with visit(view._page):
             assert until(lambda: view.watched)
             view._next_facts = 0.0

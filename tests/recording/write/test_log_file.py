@@ -107,6 +107,7 @@ def test_a_file_that_was_removed_is_noticed(tmp_path):
 
 
 def test_a_message_that_no_reader_would_unpack_is_not_written(tmp_path, monkeypatch):
+    # Small enough for a message of a test.
     monkeypatch.setattr("embodichain.recording.write.log_file._LARGEST_MESSAGE", 1000)
     log = start(tmp_path / "log.mcap")
     log.write(TOPIC, 1, bytes(1000))

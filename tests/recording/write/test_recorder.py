@@ -87,6 +87,7 @@ def test_a_start_has_the_whole_rows_and_the_randomized_fields(tmp_path):
 
 
 def test_starts_come_again_and_say_what_the_simulation_is(tmp_path, monkeypatch):
+    # Small enough to be reached within a few steps.
     monkeypatch.setattr(recorder, "START_SHARE", 2)
     monkeypatch.setattr(step_buffer, "MOST_STEPS", 7)
     env = SmallEnv()

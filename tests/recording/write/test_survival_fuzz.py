@@ -56,6 +56,7 @@ def test_the_fuzzer_tells_a_traceback_from_a_clear_error(tmp_path, monkeypatch):
     def broken(path):
         raise KeyError("qpos")
 
+    # A reader with a bug, which the fuzzer has to find.
     monkeypatch.setattr("embodichain.recording.inspect", broken)
     outcome, why = outcome_of(path, everything=False)
     assert outcome == "traceback"

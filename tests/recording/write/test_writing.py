@@ -127,6 +127,7 @@ def test_two_logs_at_once(tmp_path):
 
 
 def test_messages_are_short_enough_to_read_one_at_a_time(tmp_path, monkeypatch):
+    # Small enough to be reached within a few steps.
     monkeypatch.setattr(step_buffer, "MOST_STEPS", 7)
     env, _ = recorded(tmp_path / "log.mcap", length=100)
     steps(env, 30)
@@ -136,6 +137,7 @@ def test_messages_are_short_enough_to_read_one_at_a_time(tmp_path, monkeypatch):
 
 
 def test_large_steps_are_written_at_once(tmp_path, monkeypatch):
+    # Small enough to be reached by one step of 64 environments.
     monkeypatch.setattr(step_buffer, "MOST_BYTES", 4096)
     env, _ = recorded(tmp_path / "log.mcap", num_envs=64, length=100)
     steps(env, 10)
@@ -183,6 +185,7 @@ def test_a_forked_process_leaves_the_log_alone(tmp_path):
 def test_a_process_forked_while_a_thread_writes_leaves_the_log_alone(tmp_path):
     env, log = recorded(tmp_path / "log.mcap")
     steps(env, 3)
+    # As if the thread wrote just now.
     with log._writing.lock:
         assert status_of_fork(log.close) == 0
     env.close()
@@ -254,6 +257,7 @@ def test_an_error_that_a_program_has_seen_is_not_raised_again_when_it_ends(tmp_p
 
 def test_a_recorder_that_nothing_refers_to_ends_its_thread(tmp_path):
     env, log = recorded(tmp_path / "log.mcap")
+    # Python lists threads by names alone, and each log has one.
     thread = log._writing._thread
     env.observers.clear()
     del log
@@ -312,6 +316,7 @@ def test_ctrl_c_between_two_statements_loses_no_step_and_repeats_none(tmp_path):
         def interrupt(frame, event, _, line=line, log=log):
             nonlocal passed, reached
             if event == "line" and frame.f_code.co_filename in watched:
+                # Inside the lock a signal waits, which another test shows.
                 if not log._writing.lock.locked() and passed == line:
                     reached, passed = True, passed + 1
                     raise KeyboardInterrupt
@@ -355,6 +360,7 @@ def steps_in(path):
 
 def test_the_timer_and_the_steps_keep_their_order(tmp_path, monkeypatch):
     """The timer writes all the time, while steps are made."""
+    # Instead of four times a second.
     monkeypatch.setattr(writing, "TICK_SECONDS", 0.0)
     monkeypatch.setattr(recorder, "FLUSH_SECONDS", 0.0)
     env, log = recorded(tmp_path / "log.mcap", num_envs=2)

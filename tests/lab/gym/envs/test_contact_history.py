@@ -158,6 +158,7 @@ def test_the_history_may_be_longer_than_a_control_step() -> None:
 
 def test_nothing_is_kept_for_who_does_not_ask() -> None:
     with graze() as env:
+        # Whether contacts of physics steps are kept, which costs time and changes no other reading.
         assert not env.sim.engine._history
         plain = [step[0].rows for step in fly(env)]
     with graze(metrics={"hit": hits("contact_found")}) as env:

@@ -196,6 +196,7 @@ def test_two_objects_are_grasped_in_turn_and_environments_hold_different_ones():
     class Watched(Expert):
         def __call__(self, obs, env):
             action = super().__call__(obs, env)
+            # The pose at which the expert believes the object is, in each step.
             held.append(self._execution._arms[0].grasp.object.copy())
             for uid in ("cube", "base"):
                 poses[uid] = env.sim.get_rigid_object(uid).get_local_pose().numpy()

@@ -239,6 +239,7 @@ def test_a_function_must_return_poses(built):
     targets = TargetPoses(env)
     targets.add(lambda env: torch.zeros(N, 3), "expert")
     with pytest.raises(ValueError, match=r"a target must return \(3, 7\) poses, got \(3, 3\)"):
+        # By the number that `add` gave it, which is the steps' own.
         targets(next(iter(targets._readers)))
 
 

@@ -154,6 +154,7 @@ def test_what_is_not_here_is_refused_by_name() -> None:
 def test_a_shard_starts_again_if_its_node_is_dying(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    # Seconds pass before a shard starts once more, and twice as many the next time.
     monkeypatch.setattr(shard_pool, "_FIRST_PAUSE", 0.0)
     left = [2]
 

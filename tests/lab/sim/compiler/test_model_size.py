@@ -65,6 +65,7 @@ def test_copies_in_an_included_file_count(tmp_path):
 
 
 def test_long_work_is_reported_while_it_goes_on(monkeypatch, caplog):
+    # It is said after seconds, of files that tests have no time for.
     monkeypatch.setattr(model_size, "_FIRST", 0.02)
     with caplog.at_level(logging.WARNING), model_size.reported("r: reading big.urdf"):
         time.sleep(0.3)
@@ -75,6 +76,7 @@ def test_long_work_is_reported_while_it_goes_on(monkeypatch, caplog):
 def test_environments_that_do_not_fit_into_memory_are_refused_with_the_number_that_does(
     monkeypatch,
 ):
+    # A machine with 1 MB left.
     monkeypatch.setattr(memory, "available_memory", lambda: 10**6)
     with pytest.raises(ConfigError) as raised:
         SimulationManager(SimulationManagerCfg(headless=True, num_envs=10**9))

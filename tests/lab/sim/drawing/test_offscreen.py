@@ -103,6 +103,7 @@ def test_sizes_in_turn_keep_the_context(engine, renderer):
     """Larger than the scene's buffer too; pictures are those of before."""
     sizes = [(64, 48), (320, 240), (64, 48), (200, 480)]
     first = [renderer.pictures(engine, "front", size) for size in sizes]
+    # Renderers of MuJoCo are expensive to make; that one is used again shows in nothing else.
     inside = renderer._renderer
     again = [renderer.pictures(engine, "front", size) for size in sizes]
     assert renderer._renderer is inside

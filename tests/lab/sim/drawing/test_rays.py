@@ -91,6 +91,7 @@ def test_many_environments_are_drawn_in_parts(engine, monkeypatch):
     engine.write("qpos", [[0.0], [0.5], [1.0]])
     whole = draw(engine, see(outputs=("depth",)))[0]
     assert set(whole) == {"depth"}
+    # As with pictures of millions of pixels, which are cast in parts.
     monkeypatch.setattr("embodichain.lab.sim.drawing.rays._RAYS_AT_ONCE", 2 * 40 * 30)
     np.testing.assert_array_equal(draw(engine, see())[0]["depth"], whole["depth"])
 

@@ -124,6 +124,7 @@ def test_a_reset_is_mujocos_whatever_field_differs(model, persistent):
         engine = CpuEngine(model, 3, 1, persistent=persistent)
         default = engine.model_field(name).copy()
         engine.write_model(name, default * [[1.0], [1.2], [0.7]] + [[0.0], [0.1], [0.3]])
+        # Whether this kind of reset was tried at all.
         copied += engine._fields.resets_alike
         engine.write("qpos", 0.3, None, slice(0, 1))
         engine.write("time", 1.0)

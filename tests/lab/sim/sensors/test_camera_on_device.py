@@ -210,6 +210,7 @@ def test_what_is_drawn_otherwise_is_said_once(
     for _ in range(2):
         cameras = DeviceCameras(engine.worlds, engine.model, N, DEVICE, engine.fields.written)
         with caplog.at_level(logging.WARNING):
+            # What the first picture does, without drawing one.
             cameras._make_scene()
     assert [record.getMessage() for record in caplog.records] == [
         "transparent shapes are drawn opaque on a device: arm/glass",
@@ -311,6 +312,7 @@ def test_lenses_of_environments(device: SimulationManager) -> None:
     engine.write_model("cam_fovy", 70.0, None, slice(number, number + 1))
     wide = seen(device, "back", "depth")
     assert (np.abs(wide - back) < 1e-4).mean() > 0.99
+    # Compiling one takes seconds: fields and poses that change must not ask for more.
     assert len(engine._cameras._kernels) <= 5
 
 

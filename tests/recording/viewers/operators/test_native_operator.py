@@ -37,6 +37,7 @@ class Session:
         self.policy.operator = self.operator = NativeOperator(
             env, self.policy, lambda: self.stopped, lambda: self.pad, self.window
         )
+        # No environment in real time: the operator's step would wait.
         self.operator._env = Quick(env)
         self.obs, _ = env.reset()
         self.policy._has_begun = True  # what begins an episode has a test of its own

@@ -57,6 +57,7 @@ class Pace:
 @pytest.fixture
 def pace(monkeypatch):
     made = Pace()
+    # Steps are made when the test says so, not in real time.
     monkeypatch.setattr(WebPage, "pace", lambda *args: made(*args))
     return made
 

@@ -28,10 +28,18 @@ def served():
     made.close()
 
 
+def is_operated(page):
+    """Whether a browser has the controls, as its message said that arrived last.
+
+    A run only sees the commands, which are the same while nobody moves.
+    """
+    return page._controls.operated
+
+
 @pytest.fixture
 def page(served):
     """The page, with nobody there."""
-    assert until(lambda: not served.watched and not served._controls.operated)
+    assert until(lambda: not served.watched and not is_operated(served))
     return served
 
 
@@ -105,7 +113,7 @@ def test_pages_of_other_sites_do_not_operate(page):
     with pytest.raises(InvalidStatus) as refused, Browser(page, origin="http://evil.example"):
         pass
     assert refused.value.response.status_code == 403
-    assert not page._controls.operated
+    assert not is_operated(page)
 
 
 def test_keys_become_a_command_while_they_are_held(page):
@@ -151,14 +159,14 @@ def test_the_tool_stays_when_the_page_is_silent_and_the_run_waits(page):
         assert until(lambda: page.command.linear == (1.0, 0.0, 0.0))
         began = time.monotonic()
         assert until(lambda: page.command.linear == (0.0, 0.0, 0.0))  # half a second later
-        assert page._controls.operated
-        assert until(lambda: not page._controls.operated)  # two seconds later
+        assert is_operated(page)
+        assert until(lambda: not is_operated(page))  # two seconds later
         assert time.monotonic() - began > 1.0
         operator.hold(away=True)
         time.sleep(0.1)
-        assert not page._controls.operated  # a hidden page does not operate
+        assert not is_operated(page)  # a hidden page does not operate
         operator.hold()
-        assert until(lambda: page._controls.operated)
+        assert until(lambda: is_operated(page))
 
 
 def test_the_first_page_operates_and_the_next_one_takes_its_place(page):
@@ -179,21 +187,21 @@ def test_the_first_page_operates_and_the_next_one_takes_its_place(page):
         second.hold("KeyD")
         assert until(lambda: page.command.linear == (0.0, -1.0, 0.0))
         assert page.command.ends == ends
-    assert until(lambda: not page._controls.operated)
+    assert until(lambda: not is_operated(page))
 
 
 def test_a_hidden_page_gives_its_place_away(page):
     with Browser(page) as first:
         first.hold(away=True)  # alone: the run waits for it
         time.sleep(0.1)
-        assert not page._controls.operated
+        assert not is_operated(page)
         first.hold()
-        assert until(lambda: page._controls.operated)
+        assert until(lambda: is_operated(page))
         with Browser(page) as second:
             first.hold("KeyW", away=True)
             second.receive(lambda m: m.get("operator"))
             time.sleep(0.1)
-            assert not page._controls.operated  # it has not been heard yet
+            assert not is_operated(page)  # it has not been heard yet
             second.hold("KeyA")
             assert until(lambda: page.command.linear == (0.0, 1.0, 0.0))
             first.hold("KeyW")  # back again: it watches
@@ -251,6 +259,7 @@ def test_a_run_that_is_stopped_or_lost_its_page_does_not_wait():
     stopped.wait_for_operator(lambda: None)
     stopped.close()
     lost = WebPage(MODEL, PageOptions(teleop=True))
+    # A server that dies: nothing public ends it without an orderly `close`.
     lost._process.kill()
     with pytest.raises(EmbodichainError, match="can no longer be operated"):
         lost.wait_for_operator(lambda: None)
@@ -306,6 +315,7 @@ def test_a_drag_moves_the_goal_in_the_plane_of_the_view():
     drag = {"held": [], "axes": [], "buttons": [], "speed": 1, "away": False}
 
     def take(drag_at):
+        # What the listener calls for each message, without a browser between.
         assert operators._handle_message(json.dumps({**drag, "drag": drag_at}))
         return operators.command.goal
 

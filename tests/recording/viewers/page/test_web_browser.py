@@ -46,6 +46,7 @@ class Run:
 
     @property
     def controls(self):
+        # What the browser's last message said; a run sees only its effects.
         return self.view._page._controls
 
 

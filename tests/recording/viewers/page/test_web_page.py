@@ -31,6 +31,7 @@ def served():
 @pytest.fixture
 def page(served):
     """The page, without a browser, with its initial controls."""
+    # The server takes a second to start, so one page serves all tests, each with new controls.
     served._controls, served._taken_steps, served._taken_resets = Controls(), 0, 0
     return served
 
@@ -122,6 +123,7 @@ def test_a_new_connection_receives_the_state_at_once(page):
 
 def control(page, **controls):
     """Set controls as a browser would (`test_web_browser.py` uses one)."""
+    # Controls arrive from a browser alone.
     page._controls = dataclasses.replace(page._controls, watched=True, **controls)
 
 
@@ -132,6 +134,7 @@ def seconds_of(call):
 
 
 def test_the_run_does_not_wait_without_a_browser(page):
+    # As if a browser had set them before it went.
     page._controls = dataclasses.replace(page._controls, paused=True, speed=0.1)
     began = time.monotonic()
     for _ in range(1000):
@@ -185,6 +188,7 @@ def test_a_reset_is_taken_once(page):
 
 def test_the_run_goes_on_when_the_viewer_dies(caplog):
     page = WebPage(MODEL)
+    # A server that dies: nothing public ends it without an orderly `close`.
     page._process.kill()
     page._listener.join()
     for _ in range(3):

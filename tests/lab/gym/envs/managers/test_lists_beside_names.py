@@ -144,6 +144,7 @@ def test_speeds_of_the_joints_that_move_a_tool(make: Any) -> None:
     speeds = [0.6, 0.5, 0.4, 0.3, 0.2, 0.1]
     env = make(actions={"arm": arm(names, "eef_delta_pose", max_velocity=speeds)})
     term = env.action_manager.terms["arm"].instance
+    # The term's limits in its own order; what they do is tested in test_eef_actions.py.
     assert (term._largest_change / env.step_dt).tolist() == pytest.approx(
         [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     )

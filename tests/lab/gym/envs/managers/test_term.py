@@ -16,6 +16,7 @@ class Counts(Term):
 def test_the_state_of_a_term_is_copies_of_the_arrays_it_names() -> None:
     term = Counts()
     view = term.steps
+    # A private array is part of a term's state as a public one is.
     term.steps[1], term._seen[2, 0] = 7, True
     state = term.state_dict()
     term.steps[:], term._seen[:] = 9, True

@@ -48,6 +48,7 @@ def test_nothing_added_or_times_one_changes_no_bit(make, case, mode) -> None:
     plain, env = build(), build(events={"e": case.neutral_event(mode)})
     assert rollout(env) == rollout(plain)
     engine = env.sim.engine
+    # Of all fields of the model: `model_field` would hide one that nobody should have written.
     fields = engine._fields.expanded()
     assert fields, "nothing was written: the test lost its point"
     for name in engine._fields._views:
@@ -65,6 +66,7 @@ def test_a_reset_of_one_environment_leaves_the_others(make, case) -> None:
     env.reset(options={"reset_ids": [1]})
     after = case.values(env)
     assert (after[1] != before[1]).any()
+    # All fields that differ between environments, also those that nobody should have written.
     for name, values in env.sim.engine._fields.expanded().items():
         assert values[[0, 2]].tobytes() == model[name][[0, 2]].tobytes(), name
     assert len({row.tobytes() for row in after}) == 3

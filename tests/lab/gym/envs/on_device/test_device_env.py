@@ -179,6 +179,7 @@ def test_a_state_has_only_arrays_of_the_host():
 @pytest.mark.parametrize("task", ["reach", "quadruped_velocity"])
 def test_no_row_of_each_environment_is_kept_on_the_host(task, monkeypatch):
     """Small arrays of the host are constants; those with a row for each environment are large."""
+    # Small enough for rows of 128 environments to be large.
     monkeypatch.setattr(device_values, "_LARGEST_CONSTANT", 2000)
     with made(task, num_envs=128) as env:
         obs, _ = env.reset()

@@ -46,6 +46,11 @@ def recorded_at_once(monkeypatch):
     monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)
 
 
+def recorded(graph):
+    """The CUDA graph; None while kernels are launched one by one, with the same results."""
+    return graph._graph
+
+
 @contextlib.contextmanager
 def made(task, *lines):
     """An environment that steps by graph, and one that launches all kernels."""
@@ -53,6 +58,7 @@ def made(task, *lines):
     try:
         for env in both:
             env.reset()
+            # An environment records its steps on CUDA alone; here one of two does, on any device.
             env._graph = None
         graph = both[0]._graph = StepGraph(both[0])
         if DEVICE == "cpu":
@@ -94,7 +100,7 @@ def test_recorded_steps_are_as_others(task):
                     same(values, info2[group][name])
             for name, values in one.termination_manager.values.items():
                 same(values.float(), other.termination_manager.values[name].float())
-        assert graph.reason == "" and graph._graph is not None
+        assert graph.reason == "" and recorded(graph) is not None
         assert one.control_step == other.control_step == STEPS
         same(one.elapsed_steps, other.elapsed_steps)
 
@@ -120,12 +126,13 @@ def test_pictures_are_drawn_in_recorded_steps():
             for path in pictures:
                 same(obs[path].float(), obs2[path].float())
             earlier.append((obs, {path: obs[path].clone() for path in pictures}))
-        assert graph.reason == "" and graph._graph is not None
+        assert graph.reason == "" and recorded(graph) is not None
         for obs, images in earlier:
             for path, image in images.items():
                 assert torch.equal(obs[path], image)
         addresses = {obs["depth"].data_ptr() for obs, _ in earlier}
         assert len(addresses) == STEPS
+        # What a recorded step keeps is seen only if it is missing: as memory that is used again.
         assert any("_readings" in path for path in graph._kept)
         assert obs["depth"].shape == (N, 1, 16, 24) and (obs["depth"] > 0).any()
         assert len({image.tobytes() for image in obs["depth"].cpu().numpy()}) == N
@@ -135,6 +142,7 @@ def test_what_is_kept_stays_at_its_address():
     with made("cart_pole") as (one, _, graph):
         for action in actions(one, 4):
             one.step(action)
+        # Of the arrays that a recorded step writes to, by their paths from the environment.
         assert any(path[-1] == "_sums" for path in graph._kept)
         kept = dict(graph._kept)
         one.reset()
@@ -185,7 +193,7 @@ def test_a_log_is_gathered_in_the_recorded_step_and_copied_after_it(tmp_path, mo
         for action in actions(one, STEPS):
             one.step(action)
             other.step(action)
-        assert graph.reason == "" and graph._graph is not None
+        assert graph.reason == "" and recorded(graph) is not None
         assert len(sent) == 2 * STEPS and not any(sent)
         if DEVICE == "cpu":  # the fourth step of the first environment
             assert packed == [False] * 6 + [True, False]
@@ -199,15 +207,15 @@ def test_other_weights_are_recorded_anew():
         steps = actions(one, 7)
         for action in steps[:4]:
             one.step(action)
-        first = graph._graph
+        first = recorded(graph)
         name = next(iter(one.reward_manager.weights))
         one.reward_manager.set_weight(name, 3.0)
         for action in steps[4:6]:  # one to check the terms again, one that is observed
             one.step(action)
-            assert graph._graph is None
+            assert recorded(graph) is None
         one.step(steps[6])
         assert graph.reason == ""
-        assert graph._graph is not None and graph._graph is not first
+        assert recorded(graph) not in (None, first)
 
 
 def test_what_code_outside_of_steps_writes_counts():
@@ -216,13 +224,13 @@ def test_what_code_outside_of_steps_writes_counts():
         steps = actions(one, 8)
         for action in steps[:4]:
             one.step(action)
-        first = graph._graph
+        first = recorded(graph)
         one.robot.set_qpos(np.zeros((N, 6), np.float32), target=False)
         one.step(steps[4])
-        assert graph._graph is first
+        assert recorded(graph) is first
         one.robot.set_joint_drive(max_velocity=np.full((N, 6), 0.5))
         one.step(steps[5])
-        assert graph._graph is None
+        assert recorded(graph) is None
 
 
 class Counting(Term):
@@ -258,7 +266,7 @@ def test_what_cannot_be_recorded_is_launched(term, reason, caplog):
         caplog.set_level(logging.WARNING)
         for action in actions(one, 6):
             same(one.step(action)[1], other.step(action)[1])
-        assert graph._graph is None and one.control_step == 6
+        assert recorded(graph) is None and one.control_step == 6
         assert caplog.text.count("steps are not recorded as a CUDA graph") == 1
         assert re.search(reason, graph.reason)
 
@@ -295,9 +303,10 @@ def test_steps_that_observe_before_judging_are_recorded():
     """After pushes and new commands they observe once more, with the same noise."""
     mine = "+task.metrics.mine={func: 'tests.lab.gym.envs.on_device.test_step_graph:looks'}"
     with made("quadruped_velocity", mine) as (one, other, graph):
+        # Both make a step observe once more: without them the test would try nothing.
         assert one._judge.takes_obs and one.command_manager.acts_in_steps
         for action in actions(one, STEPS):
             (obs, *_, info), (obs2, *_, info2) = one.step(action), other.step(action)
             same(torch.as_tensor(obs.rows.tensor), torch.as_tensor(obs2.rows.tensor))
             same(info["metrics"]["mine"], info2["metrics"]["mine"])
-        assert graph.reason == "" and graph._graph is not None
+        assert graph.reason == "" and recorded(graph) is not None

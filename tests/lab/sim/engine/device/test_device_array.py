@@ -347,6 +347,7 @@ def test_it_has_no_other_attributes():
 
 
 def test_constants_are_copied_once_and_the_oldest_forgotten(monkeypatch):
+    # Thousands of constants would be needed otherwise.
     monkeypatch.setattr(device_values, "_MOST_CONSTANTS", 2)
     known = device_values.Constants()
     first = known.get(Y, DEVICE)
@@ -361,6 +362,7 @@ def test_constants_are_copied_once_and_the_oldest_forgotten(monkeypatch):
 
 
 def test_a_captured_step_keeps_its_constants_and_makes_none(monkeypatch):
+    # Thousands of constants would be needed otherwise; and a capture needs CUDA.
     monkeypatch.setattr(device_values, "_MOST_CONSTANTS", 1)
     known = device_values.Constants()
     first = known.get(Y, DEVICE)

@@ -158,6 +158,7 @@ def test_memory_is_measured_once_and_written_into_the_config():
 def test_environments_that_diverge_while_memory_is_measured_are_one_warning(caplog, monkeypatch):
     """A UR10 without a base, which its drives toss about; what is counted is tested above."""
     counted = {"nconmax": 16, "njmax": 48}
+    # Measuring takes seconds, and is tested above.
     monkeypatch.setattr(warp_worlds, "measured_sizes", lambda model, states: counted)
     free = ["++task.robot.fix_base=false", "seed=1", "sim.engine=warp"]
     sized = with_warp_sizes(resolve(["task=random_reach", *free]))
