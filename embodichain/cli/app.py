@@ -12,7 +12,12 @@ import sys
 from contextlib import nullcontext
 
 import click
-from click.shell_completion import BashComplete, add_completion_class, shell_complete
+from click.shell_completion import (
+    BashComplete,
+    CompletionItem,
+    add_completion_class,
+    shell_complete,
+)
 
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.plain_text import degrading_text
@@ -21,15 +26,7 @@ from embodichain.cli.words import ROOT_KEYS
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["FOLDERS", "call", "load_verb", "main"]
-
-FOLDERS = {
-    "running": ("run", "run-env", "demo", "play", "bench", "doctor"),
-    "learning": ("train", "eval", "compare", "collect", "augment"),
-    "logs": ("replay", "view", "recover", "diff", "report", "export"),
-    "tasks": ("list", "show", "render", "validate", "convert", "new"),
-}
-"""Folder of `cli.verbs` -> the verbs whose modules are in it."""
+__all__ = ["call", "load_verb", "main"]
 
 _OVERVIEW = f"""
 Completion: eval "$(embodichain -sc install=bash)" (or zsh, fish)
@@ -52,8 +49,9 @@ _UNINSTALL = {
 
 def load_verb(name: str) -> Verb:
     """Import the module of a verb, one of `VERBS`, and return its command."""
-    folder = next(folder for folder, verbs in FOLDERS.items() if name in verbs)
-    module = importlib.import_module(f"embodichain.cli.verbs.{folder}.{name.replace('-', '_')}")
+    folder = VERBS[name].folder
+    module_name = name.replace("-", "_")
+    module = importlib.import_module(f"embodichain.cli.verbs.{folder}.{module_name}")
     return module.command
 
 
@@ -70,16 +68,17 @@ class _Verbs(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+            formatter.write_dl([(name, entry.description) for name, entry in VERBS.items()])
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         formatter.write(_OVERVIEW)
 
-    def shell_complete(
-        self, ctx: click.Context, incomplete: str
-    ) -> list[click.shell_completion.CompletionItem]:
-        item = click.shell_completion.CompletionItem
-        return [item(name, help=VERBS[name]) for name in VERBS if name.startswith(incomplete)]
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        return [
+            CompletionItem(name, help=entry.description)
+            for name, entry in VERBS.items()
+            if name.startswith(incomplete)
+        ]
 
 
 def _version(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:

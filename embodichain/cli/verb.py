@@ -33,6 +33,7 @@ __all__ = [
     "JobOptions",
     "OverrideOptions",
     "Verb",
+    "VerbEntry",
     "command_line",
     "complete_last",
     "job_arguments",
@@ -41,32 +42,72 @@ __all__ = [
     "verb",
 ]
 
+
+@dataclass(frozen=True)
+class VerbEntry:
+    """A verb in the list of verbs, whose module is not imported for it.
+
+    Attributes:
+        folder: The folder of `embodichain.cli.verbs` with its module.
+        description: What the help says of it.
+    """
+
+    folder: str
+    description: str
+
+
 VERBS = {
-    "demo": "Show a robot that solves a task, in the browser or as a film.",
-    "run": "Run a task: simulate, show progress, write a log.",
-    "train": "Train a policy with Stable-Baselines3.",
-    "eval": "Play a policy for exactly N episodes; print results with confidence intervals.",
-    "collect": "Record episodes until enough of them succeeded; resumable.",
-    "augment": "Record episodes that repeat recorded ones in other starts of their task.",
-    "play": "Show a trained policy in a window.",
-    "compare": "Put trainings side by side: a table, and curves with intervals over seeds.",
-    "report": "Write one HTML page about a run: results, film, curves, config, how to repeat it.",
-    "export": "Write a log in another format, or a policy as one ONNX or TorchScript file.",
-    "replay": "Print what a log contains; with --verify simulate it again and compare every bit.",
-    "view": "Print how to open a log in Foxglove or Lichtblick; open it, or play it to them.",
-    "recover": "Write a clean log from a broken one, up to where it can be read.",
-    "diff": "Print the first step and field where two logs differ.",
-    "bench": "Measure control steps/s beside the bare batch of the same model.",
-    "list": "List tasks, robots, policies, terms, export formats, viewers, learners or steps.",
-    "show": "Show a task: resolved config, scene, spaces, terms; or one term.",
-    "render": "Write a picture of a task: one environment, or a grid of several.",
-    "validate": "Check a task, build it as `run` does, and print every mistake.",
-    "convert": "Write EmbodiChain's own config of a task as a task file.",
-    "run-env": "EmbodiChain's command: run --gym-config, with its flags.",
-    "new": "Write a new task and its test into your folder or package.",
-    "doctor": "Check this machine: versions, threads, rendering, disk, optional packages.",
+    "demo": VerbEntry("running", "Show a robot that solves a task, in the browser or as a film."),
+    "run": VerbEntry("running", "Run a task: simulate, show progress, write a log."),
+    "train": VerbEntry("learning", "Train a policy with Stable-Baselines3."),
+    "eval": VerbEntry(
+        "learning", "Play a policy for exactly N episodes; print results with confidence intervals."
+    ),
+    "collect": VerbEntry("learning", "Record episodes until enough of them succeeded; resumable."),
+    "augment": VerbEntry(
+        "learning", "Record episodes that repeat recorded ones in other starts of their task."
+    ),
+    "play": VerbEntry("running", "Show a trained policy in a window."),
+    "compare": VerbEntry(
+        "learning", "Put trainings side by side: a table, and curves with intervals over seeds."
+    ),
+    "report": VerbEntry(
+        "logs", "Write one HTML page about a run: results, film, curves, config, how to repeat it."
+    ),
+    "export": VerbEntry(
+        "logs", "Write a log in another format, or a policy as one ONNX or TorchScript file."
+    ),
+    "replay": VerbEntry(
+        "logs", "Print what a log contains; with --verify simulate it again and compare every bit."
+    ),
+    "view": VerbEntry(
+        "logs", "Print how to open a log in Foxglove or Lichtblick; open it, or play it to them."
+    ),
+    "recover": VerbEntry(
+        "logs", "Write a clean log from a broken one, up to where it can be read."
+    ),
+    "diff": VerbEntry("logs", "Print the first step and field where two logs differ."),
+    "bench": VerbEntry(
+        "running", "Measure control steps/s beside the bare batch of the same model."
+    ),
+    "list": VerbEntry(
+        "tasks", "List tasks, robots, policies, terms, export formats, viewers, learners or steps."
+    ),
+    "show": VerbEntry("tasks", "Show a task: resolved config, scene, spaces, terms; or one term."),
+    "render": VerbEntry(
+        "tasks", "Write a picture of a task: one environment, or a grid of several."
+    ),
+    "validate": VerbEntry(
+        "tasks", "Check a task, build it as `run` does, and print every mistake."
+    ),
+    "convert": VerbEntry("tasks", "Write EmbodiChain's own config of a task as a task file."),
+    "run-env": VerbEntry("running", "EmbodiChain's command: run --gym-config, with its flags."),
+    "new": VerbEntry("tasks", "Write a new task and its test into your folder or package."),
+    "doctor": VerbEntry(
+        "running", "Check this machine: versions, threads, rendering, disk, optional packages."
+    ),
 }
-"""Verb -> its description, in the order of `--help`."""
+"""The verbs, in the order of `--help`."""
 
 _KEYS = f"""Keys:
   {" ".join(EVERYDAY_KEYS)}
@@ -217,7 +258,7 @@ def verb(
         def fill(**values: Any) -> int | None:
             return function(options(**values))
 
-        command = click.command(name, cls=Verb, help=VERBS[name])(fill)
+        command = click.command(name, cls=Verb, help=VERBS[name].description)(fill)
         if config_dir:
             command.params.append(_CONFIG_DIR)
         if quiet:

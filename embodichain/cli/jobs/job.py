@@ -34,7 +34,7 @@ from embodichain.utils.system.platforms import LIMITED
 if TYPE_CHECKING:
     from embodichain.cli.verb import JobOptions, OverrideOptions
     from embodichain.config.composition.composed import Composed
-    from embodichain.config.keys.schema import RootCfg, Verb
+    from embodichain.config.keys.schema import JobVerb, RootCfg
     from embodichain.config.resolved import Checked, Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.compiler.compile_scene import CompiledScene
@@ -260,7 +260,7 @@ Body = Callable[[Job], float | None]
 """The work of a job; returns the objective for a sweeper, or None."""
 
 
-def start(verb: Verb, body: Body, options: JobOptions) -> None:
+def start(verb: JobVerb, body: Body, options: JobOptions) -> None:
     """Run one job, or pass the command line to Hydra's `main`.
 
     The config of every job is checked before the first starts.
@@ -320,7 +320,7 @@ def output_overrides(options: OverrideOptions) -> list[str]:
     return overrides
 
 
-def check_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:
+def check_job(composed: Composed, verb: JobVerb, *, any_key: bool = False) -> Checked:
     """Check the whole config of a job, and that the verb reads each key of its command line.
 
     Args:
@@ -337,7 +337,7 @@ def check_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Check
     return replace(config, check=replace(config.check, problems=[*unread, *others]))
 
 
-def resolve_job(composed: Composed, verb: Verb) -> Resolved:
+def resolve_job(composed: Composed, verb: JobVerb) -> Resolved:
     """Check the whole config of a job; for a training, the algorithm's arguments too.
 
     Raises:
@@ -358,7 +358,7 @@ def execute(
     command: Sequence[str],
     folder: Path | None = None,
     *,
-    verb: Verb = "run",
+    verb: JobVerb = "run",
     goes_on: bool = False,
     take_back: Callable[[], None] | None = None,
 ) -> float | None:

@@ -10,7 +10,7 @@ from embodichain.config.composition.locate import COMMAND_LINE
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.keys.schema import Verb
+    from embodichain.config.keys.schema import JobVerb
 
 
 __all__ = ["refuse_unread", "unread_keys", "verb_of_keys"]
@@ -87,7 +87,7 @@ _UNREAD: Mapping[str, Mapping[str, str]] = {
 """Verb -> root key, and why it has no effect."""
 
 
-def verb_of_keys(lines: Sequence[str]) -> Verb:
+def verb_of_keys(lines: Sequence[str]) -> JobVerb:
     """The verb whose config has the keys of `validate` or `show`, which take those of any job.
 
     Args:

@@ -24,7 +24,7 @@ from typing import Any, Literal, TextIO
 
 import yaml
 
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.config.rerun import read_config
 from embodichain.config.resolved import Resolved, dump_yaml
 from embodichain.config.run_folder import CONFIG, SUMMARY, adopt
@@ -92,7 +92,7 @@ class JobRunsError(EmbodichainError):
 
 @contextmanager
 def enter(
-    folder: Path, resolved: Resolved, verb: Verb, *, seed_is_drawn: bool = False
+    folder: Path, resolved: Resolved, verb: JobVerb, *, seed_is_drawn: bool = False
 ) -> Iterator[Entered]:
     """Enter the folder of a job, which no other process can enter until the context is left.
 
@@ -135,7 +135,7 @@ def enter(
         yield Entered(resolved, goes_on=True)
 
 
-def state_in(folder: Path, verb: Verb) -> State:
+def state_in(folder: Path, verb: JobVerb) -> State:
     """Return what a job's folder says about the job.
 
     Raises:
@@ -161,7 +161,7 @@ def state_in(folder: Path, verb: Verb) -> State:
     return "resumable"
 
 
-def is_finished(folder: Path, verb: Verb) -> bool:
+def is_finished(folder: Path, verb: JobVerb) -> bool:
     """Whether nothing is left to do for the job of a folder."""
     summary = read_summary(folder)
     status = summary.get("status")

@@ -26,7 +26,7 @@ from embodichain.config.composition.hydra_loader import (
 )
 from embodichain.config.composition.override_text import readable
 from embodichain.config.keys.launchers import LAUNCHERS
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.config.resolved import Resolved
 from embodichain.lab.sim.engine.cpu.mujoco_process import all_cores
 from embodichain.utils.errors import ConfigError, Problem
@@ -68,7 +68,7 @@ class Plan:
         return self.launcher != _BASIC
 
 
-def with_sweepers_params(verb: Verb, overrides: Sequence[str]) -> list[str]:
+def with_sweepers_params(verb: JobVerb, overrides: Sequence[str]) -> list[str]:
     """Write `hydra.sweeper.params` of files as overrides, so that they are checked like these.
 
     Typed overrides of the same keys win.
@@ -94,7 +94,7 @@ def with_sweepers_params(verb: Verb, overrides: Sequence[str]) -> list[str]:
 
 
 def composed_for_hydra(
-    verb: Verb, lines: Sequence[str], mode: RunMode = RunMode.MULTIRUN
+    verb: JobVerb, lines: Sequence[str], mode: RunMode = RunMode.MULTIRUN
 ) -> DictConfig:
     """Return a config with Hydra's own node, composed as Hydra's `main` does.
 
@@ -116,7 +116,7 @@ def composed_for_hydra(
             raise ConfigError(explain(error, loader)) from error
 
 
-def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
+def plan_sweep(verb: JobVerb, overrides: Sequence[str], first: Resolved) -> Plan:
     """Decide how a sweep is run.
 
     Args:

@@ -23,7 +23,7 @@ from embodichain.cli.sweeps.sweep_progress import shown_progress
 from embodichain.cli.terminal.process import Interrupted, StopFlag
 from embodichain.config.composition.registered_options import hydras_name
 from embodichain.config.keys.launchers import LAUNCHERS
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.config.run_folder import CONFIG
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 from embodichain.utils.system.processes import end_with, own_process
@@ -42,7 +42,7 @@ class SweepError(EmbodichainError):
     """Jobs of a sweep failed."""
 
 
-def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) -> None:
+def run_sweep(plan: Plan, verb: JobVerb, job: Callable[[], Any], *, quiet: bool) -> None:
     """Run a sweep with Hydra, and compare its trainings.
 
     Args:
@@ -208,11 +208,11 @@ def _begun_jobs(sweep: Path) -> list[str]:
     return sorted(jobs, key=lambda name: (len(name), name))  # 10 after 9
 
 
-def _unfinished_jobs(sweep: Path, verb: Verb) -> list[str]:
+def _unfinished_jobs(sweep: Path, verb: JobVerb) -> list[str]:
     return [name for name in _begun_jobs(sweep) if not is_finished(sweep / name, verb)]
 
 
-def _count_finished(plan: Plan, verb: Verb) -> str:
+def _count_finished(plan: Plan, verb: JobVerb) -> str:
     """A sentence about finished and unfinished jobs, and how to go on."""
     unfinished = _unfinished_jobs(plan.folder, verb)
     finished = [name for name in _begun_jobs(plan.folder) if name not in unfinished]

@@ -54,7 +54,7 @@ from embodichain.config.composition.hydra_loader import (
     user_configs,
 )
 from embodichain.config.composition.override_text import malformed
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt, check_unused, missing_folders, take_back
 from embodichain.utils.errors import ConfigError, Problem
@@ -83,7 +83,7 @@ class RunJob(Protocol):
 
 
 def call_hydra(
-    verb: Verb,
+    verb: JobVerb,
     check: Callable[[Sequence[str]], Resolved],
     run_job: RunJob,
     options: JobOptions,
@@ -155,7 +155,7 @@ def call_hydra(
 
 
 def _check_sweep(
-    verb: Verb, check: Callable[[Sequence[str]], Resolved], overrides: Sequence[str]
+    verb: JobVerb, check: Callable[[Sequence[str]], Resolved], overrides: Sequence[str]
 ) -> Plan:
     """Check the jobs of a sweep as far as they are known, and plan it."""
     _parse(overrides)
@@ -169,7 +169,7 @@ def _check_sweep(
 
 
 def _run_in_sweep(
-    run_job: RunJob, resolved: Resolved, verb: Verb, *, seed_is_drawn: bool
+    run_job: RunJob, resolved: Resolved, verb: JobVerb, *, seed_is_drawn: bool
 ) -> float | None:
     """Run a job of a sweep in its folder, or what is left of it; return its objective.
 
@@ -210,7 +210,7 @@ def _run_in_folder(
     return run_job(resolved, folder=adopt(folder), take_back=undo)
 
 
-def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> list[Path]:
+def _check_run_folder(verb: JobVerb, overrides: Sequence[str]) -> list[Path]:
     """Refuse a folder in `hydra.run.dir` that cannot be made; Hydra's own errors have no sentence.
 
     Returns:
@@ -299,7 +299,7 @@ def _first_value(override: Override) -> str:
     return f"{override.get_key_element()}={next(iter(override.sweep_string_iterator()))}"
 
 
-def _check_objective(objective: float | None, verb: Verb, resolved: Resolved) -> None:
+def _check_objective(objective: float | None, verb: JobVerb, resolved: Resolved) -> None:
     """Refuse a job without an objective in a search, which has nothing to compare then."""
     is_search = not _has_target(HydraConfig.get().sweeper, _BASIC_SWEEPER)
     if objective is not None or not is_search:

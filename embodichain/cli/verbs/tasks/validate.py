@@ -27,7 +27,7 @@ from embodichain.cli.words import split_overrides
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.keys.schema import Verb
+    from embodichain.config.keys.schema import JobVerb
     from embodichain.config.resolved import Checked, Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.compiler.compile_scene import CompiledScene
@@ -106,7 +106,7 @@ def command(options: ValidateOptions) -> int:
     return process.OK
 
 
-def _verb(options: ValidateOptions) -> Verb | None:
+def _verb(options: ValidateOptions) -> JobVerb | None:
     """The verb whose config was asked for; None without an option."""
     if options.train:
         return "train"
@@ -120,7 +120,7 @@ def _is_file_name(word: str) -> bool:
     return "=" not in word and word.endswith((".yaml", ".yml", ".json"))
 
 
-def _check_file(name: str, verb: Verb, notes: list[Problem]) -> Checked:
+def _check_file(name: str, verb: JobVerb, notes: list[Problem]) -> Checked:
     """Check a file, and add notes about it to a list."""
     from embodichain.config.file_validation import checked_file, notes_on_file
 
@@ -128,7 +128,7 @@ def _check_file(name: str, verb: Verb, notes: list[Problem]) -> Checked:
     return checked_file(name, verb)
 
 
-def _check_overrides(lines: list[str], verb: Verb | None, notes: list[Problem]) -> Checked:
+def _check_overrides(lines: list[str], verb: JobVerb | None, notes: list[Problem]) -> Checked:
     """Check a composed config, and add notes about it to a list.
 
     Args:
@@ -219,7 +219,7 @@ def _build(resolved: Resolved) -> None:
 
 
 def _try_out(
-    resolved: Resolved, compiled_scene: CompiledScene | None, verb: Verb, *, complete: bool
+    resolved: Resolved, compiled_scene: CompiledScene | None, verb: JobVerb, *, complete: bool
 ) -> list[Problem]:
     """Build what the job builds, reset it and take one step.
 
