@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.unread_keys import unread_keys
-from embodichain.cli.terminal.last import take_last, with_paths
+from embodichain.cli.terminal.last import announce_last, replace_last
 from embodichain.cli.terminal.process import Interrupted, StopFlag, started
 from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
 from embodichain.cli.verb import command_line
@@ -46,15 +46,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FRESH",
-    "Body",
     "Job",
+    "Work",
     "check_extras",
     "check_job",
-    "ended_early",
+    "describe_early_end",
     "execute",
     "film_progress",
     "output_overrides",
-    "pinned",
+    "pin_last",
     "policy_name",
     "policy_of",
     "resolve_job",
@@ -252,22 +252,22 @@ class Job:
         if filmed.whole:
             _log.info("%s: %d pictures", out, filmed.pictures)
         else:
-            _log.warning("%s", ended_early(self.stop, filmed, out))
+            _log.warning("%s", describe_early_end(self.stop, filmed, out))
         return {"video": str(out)} if filmed.pictures else {}
 
 
-Body = Callable[[Job], float | None]
+Work = Callable[[Job], float | None]
 """The work of a job; returns the objective for a sweeper, or None."""
 
 
-def start(verb: JobVerb, body: Body, options: JobOptions) -> None:
+def start(verb: JobVerb, work: Work, options: JobOptions) -> None:
     """Run one job, or pass the command line to Hydra's `main`.
 
     The config of every job is checked before the first starts.
 
     Args:
         verb: The verb with the root config of its name.
-        body: The work of a job.
+        work: The work of a job.
         options: Options of the command line.
 
     Raises:
@@ -282,7 +282,7 @@ def start(verb: JobVerb, body: Body, options: JobOptions) -> None:
         from embodichain.config.composition.gym_config import override_of
 
         overrides.append(override_of(options.gym_config))
-    run_job = partial(execute, body=body, command=command_line(), verb=verb)
+    run_job = partial(execute, work=work, command=command_line(), verb=verb)
 
     def check(job_overrides: Sequence[str]) -> Resolved:
         """Check a job of Hydra's, which is resolved and compiled again where it runs."""
@@ -354,7 +354,7 @@ def resolve_job(composed: Composed, verb: JobVerb) -> Resolved:
 
 def execute(
     resolved: Resolved,
-    body: Body,
+    work: Work,
     command: Sequence[str],
     folder: Path | None = None,
     *,
@@ -366,7 +366,7 @@ def execute(
 
     Args:
         resolved: The config.
-        body: The work of the job.
+        work: The work of the job.
         command: The command line, as typed.
         folder: The run folder; None claims a new one, which a refused job does not leave.
         verb: The verb of the job.
@@ -376,12 +376,12 @@ def execute(
     Raises:
         ConfigError: The scene cannot be compiled, or the folder cannot be made.
         Interrupted: A signal came; the files are complete up to that step.
-        Exception: Any exception of `body`.
+        Exception: Any exception of `work`.
     """
     from embodichain.config.resolved import compile_scene_of
     from embodichain.config.run_folder import abandon, claim, latest_of, missing_folders
 
-    resolved = pinned(resolved)
+    resolved = pin_last(resolved)
     compiled_scene = compile_scene_of(resolved)
     if resolved.tree["sim"]["engine"] == "warp":
         from embodichain.config.environments.factory import with_warp_values
@@ -400,14 +400,14 @@ def execute(
         take_back = partial(abandon, folder, root, latest_before, new_folders)
     job = Job(resolved, compiled_scene, folder, stop=StopFlag())
     try:
-        return _execute(job, body, command, goes_on=goes_on)
+        return _execute(job, work, command, goes_on=goes_on)
     except (ConfigError, RenderError):  # the input is wrong: exit code 2, nothing was started
         if not job.began.is_set() and take_back is not None:
             take_back()
         raise
 
 
-def pinned(resolved: Resolved) -> Resolved:
+def pin_last(resolved: Resolved) -> Resolved:
     """Return the config with paths instead of the word ``last``; says which training it is.
 
     Raises:
@@ -415,18 +415,18 @@ def pinned(resolved: Resolved) -> Resolved:
     """
     pinned_config = resolved.pinned()
     if resolved.tree["policy"] == "last":
-        take_last(Path(str(pinned_config.tree["policy"])))
+        announce_last(Path(str(pinned_config.tree["policy"])))
     return pinned_config
 
 
-def _execute(job: Job, body: Body, command: Sequence[str], *, goes_on: bool) -> float | None:
+def _execute(job: Job, work: Work, command: Sequence[str], *, goes_on: bool) -> float | None:
     """Run a job in its folder; see `execute`."""
     from embodichain.config.checks.viewer_access import without_token
     from embodichain.config.resolved import write_record
 
     resolved = job.resolved
     folder = job.folder
-    command = without_token(with_paths(command))
+    command = without_token(replace_last(command))
     if not goes_on:
         write_record(folder, resolved, command)
     with log_to(folder / LOG_FILE) as log, job.stop as stop:
@@ -437,7 +437,7 @@ def _execute(job: Job, body: Body, command: Sequence[str], *, goes_on: bool) -> 
             sys.stderr.write(f"{resolved.task_name}: {folder}\n")
         with resolved.locating():
             check_extras(job.root)
-            value = body(job)
+            value = work(job)
         if stop.stopped is not None:
             message = f"interrupted ({stop.stopped}); {folder} is complete up to there"
             raise Interrupted.by(stop.stopped, message)
@@ -569,7 +569,7 @@ def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
     return show
 
 
-def ended_early(stop: StopFlag, filmed: Filmed, out: Path) -> str:
+def describe_early_end(stop: StopFlag, filmed: Filmed, out: Path) -> str:
     """Return a message about a video that a signal ended early."""
     if not filmed.pictures:
         return f"interrupted ({stop.stopped}); {out} was not begun"

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.jobs.job import ended_early, film_progress
-from embodichain.cli.jobs.trained import Target, one_target
+from embodichain.cli.jobs.job import describe_early_end, film_progress
+from embodichain.cli.jobs.trained import Target, parse_target
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.terminal.output import print_json, say_warnings
 from embodichain.cli.terminal.process import Interrupted, StopFlag
@@ -233,7 +233,7 @@ def _export_episodes(form: str, options: ExportOptions) -> None:
 def _export_policy(options: ExportOptions) -> None:
     """Write a trained policy, and print how far its actions are from the training's."""
     form = _policy_format(options.form or "onnx")
-    target, lines = one_target("export", options.words[1:])
+    target, lines = parse_target("export", options.words[1:])
     refuse_unread("export policy", lines)
     if target.file is None or target.file.suffix in _POLICY_SUFFIXES.values():
         message = f"policy: only zips of trainings are exported, not {target.policy}"
@@ -378,9 +378,9 @@ def _film(log: Log, form: str, part: Part, options: ExportOptions) -> tuple[Path
 
         path = export(log, form, options.output, part, progress=progress, stop=stop.is_stopped)
         if not filmed.pictures:
-            raise Interrupted(ended_early(stop, filmed, path))
+            raise Interrupted(describe_early_end(stop, filmed, path))
         if stop.is_stopped():
-            return path, ended_early(stop, filmed, path)
+            return path, describe_early_end(stop, filmed, path)
         return path, ""
 
 

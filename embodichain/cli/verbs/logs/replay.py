@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from embodichain.cli.jobs.access_options import AccessOptions, access_options
-from embodichain.cli.jobs.job import ended_early, film_progress
+from embodichain.cli.jobs.job import describe_early_end, film_progress
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.output import print_facts, print_json, print_table, say_warnings
 from embodichain.cli.terminal.process import Interrupted, StopFlag
@@ -389,7 +389,7 @@ def _film(path: Path, out: Path, options: ReplayOptions) -> int:
         elif not options.quiet:
             sys.stdout.write(f"{out}: {filmed.pictures} pictures, {num_bytes / 1e6:.2f} MB\n")
     if not (filmed.pictures and filmed.whole):
-        raise Interrupted(ended_early(stop, filmed, out))
+        raise Interrupted(describe_early_end(stop, filmed, out))
     return process.OK
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from embodichain.cli.terminal.last import take_last
+from embodichain.cli.terminal.last import announce_last
 from embodichain.cli.terminal.output import print_json
 from embodichain.cli.verb import complete_last, verb
 from embodichain.utils.errors import ConfigError
@@ -95,5 +95,5 @@ def _find_folder(name: str) -> Path:
     sweep_or_run = whole_run(newest)
     # The page of a sweep compares trainings: without one, the page is of the run.
     if has_finished_training(sweep_or_run):
-        return take_last(sweep_or_run)
-    return take_last(newest)
+        return announce_last(sweep_or_run)
+    return announce_last(newest)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.jobs.job import check_extras, check_job, pinned
+from embodichain.cli.jobs.job import check_extras, check_job, pin_last
 from embodichain.cli.jobs.unread_keys import verb_of_keys
 from embodichain.cli.jobs.work.demonstrations import first_episode
 from embodichain.cli.terminal import process
@@ -178,7 +178,7 @@ def _every_mistake(
                 check_training(rest.resolved())
     elif not problems:
         with warnings_on_stderr():
-            resolved = pinned(config.resolved())
+            resolved = pin_last(config.resolved())
             notes += [note for note in resolved.notes if note not in before]
             with _collecting(problems, resolved.locating):
                 if config.verb == "train":
