@@ -145,12 +145,16 @@ class Verb(click.Command):
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write keys, examples and exit codes, unwrapped."""
         width = max(len(arguments) for arguments, _ in self.examples)
-        lines = [f"  embodichain {a:<{width}}   {what}".rstrip() for a, what in self.examples]
         keys = _KEYS if self.keys else ""
-        formatter.write("\n".join([f"\n{keys}Examples:", *lines, f"\n{EXIT_CODES}"]))
+        lines = [f"\n{keys}Examples:"]
+        for arguments, description in self.examples:
+            lines.append(f"  embodichain {arguments:<{width}}   {description}".rstrip())
+        lines.append(f"\n{EXIT_CODES}")
+        formatter.write("\n".join(lines))
 
 
-def _search_first(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+def _use_config_dir(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    """Search a folder for YAML first, while the verb runs."""
     ctx.meta["config_dir"] = value
     if value is not None and not ctx.resilient_parsing:
         from embodichain.config.composition.hydra_loader import user_configs
@@ -162,7 +166,7 @@ _CONFIG_DIR = click.Option(
     ["--config-dir", "-cd"],
     metavar="DIR",
     expose_value=False,
-    callback=_search_first,
+    callback=_use_config_dir,
     help="Search this folder for YAML first.",
 )
 _QUIET = click.Option(["--quiet", "-q"], is_flag=True, help="No progress, no report.")
@@ -174,20 +178,22 @@ _OUTPUT = (
 )
 _JOB_OPTIONS = (
     click.option(
-        *("--gym-config",),
+        "--gym-config",
         metavar="FILE",
         help="EmbodiChain's own config of a task, instead of task=NAME.",
     ),
     click.option("--multirun", "-m", is_flag=True, help="One job for each value."),
     click.option(
-        *("--cfg", "-c"),
+        "--cfg",
+        "-c",
         type=click.Choice(("job", "hydra", "all")),
         help="Print the config instead of running.",
     ),
     click.option("--resolve", is_flag=True, help="With --cfg: resolve interpolations."),
     click.option("--package", "-p", metavar="KEY", help="With --cfg: only this part."),
     click.option(
-        *("--info", "-i"),
+        "--info",
+        "-i",
         type=click.Choice(("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")),
         is_flag=False,
         flag_value="all",
@@ -255,10 +261,10 @@ def verb(
 
     def make(function: Callable[[Options], int | None]) -> Verb:
         @functools.wraps(function)  # click keeps declared options in the function's attributes
-        def fill(**values: Any) -> int | None:
+        def call(**values: Any) -> int | None:
             return function(options(**values))
 
-        command = click.command(name, cls=Verb, help=VERBS[name].description)(fill)
+        command = click.command(name, cls=Verb, help=VERBS[name].description)(call)
         if config_dir:
             command.params.append(_CONFIG_DIR)
         if quiet:
@@ -297,9 +303,11 @@ def _complete(
     matching_names = [name for name in names if incomplete and name.startswith(incomplete)]
     if matching_names:
         return matching_names
-    before = [w for w in ctx.params.get("words") or () if "=" in w or w.startswith("~")]
+    words = ctx.params.get("words") or ()
+    earlier_overrides = [word for word in words if "=" in word or word.startswith("~")]
+    config_dir = ctx.meta.get("config_dir")
     with process.own_modules():
-        return complete_override(incomplete, before, config, ctx.meta.get("config_dir"))
+        return complete_override(incomplete, earlier_overrides, config, config_dir)
 
 
 def job_arguments(config: str) -> Decorator:
@@ -324,7 +332,9 @@ def log_argument(metavar: str = "FILE", name: str = "file") -> Decorator:
 
 def complete_last(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
     """Complete the word `last`, which means the newest run."""
-    return ["last"] if "last".startswith(incomplete) else []
+    if "last".startswith(incomplete):
+        return ["last"]
+    return []
 
 
 def command_line() -> list[str]:

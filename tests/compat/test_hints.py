@@ -42,7 +42,7 @@ def _hints() -> Iterator[str]:
         REASONS,
         functors.LEFT_OUT,
         functors.PARAMS_LEFT_OUT,
-        run_env._NO_EFFECT,
+        {flag.name: flag.why_no_effect for flag in run_env.FLAGS},
         {
             name: getattr(vocabulary, name)
             for name in vars(vocabulary)
