@@ -38,7 +38,7 @@ Examples:
 
 {EXIT_CODES}"""
 _STARTING_VERBS = ("run", "run-env", "train")
-"""Verbs that call `process.started` once their start-up is over."""
+"""Verbs that call `process.end_startup` once their start-up is over."""
 _COMPLETE = "_EMBODICHAIN_COMPLETE"
 """Variable of the environment with which a shell asks for completions."""
 _UNINSTALL = {

@@ -84,14 +84,14 @@ class EmbodiedEnvCfg(EnvCfg):
         try:
             declared = checked_cfg(conversion)
         except ConfigError as error:
-            raise ConfigError(map(_here, error.problems)) from error
+            raise ConfigError(map(_without_env, error.problems)) from error
         for name in ("robot", "extensions", *FUNCTORS):
             setattr(self, name, getattr(declared, name))
         for name in _MAPS:
             setattr(self, name, {**getattr(declared, name), **getattr(self, name)})
         self.sensors = {**{name_of(s): _sensor(s) for s in self.sensor}, **self.sensors}
         for note in conversion.notes:
-            _log.warning("%s", _here(note))
+            _log.warning("%s", _without_env(note))
 
 
 def _sensor(cfg: Any) -> Any:
@@ -162,7 +162,7 @@ def _plain(value: Any) -> Any:
     return {
         f.name: _plain(getattr(value, f.name))
         for f in dataclasses.fields(base)
-        if f.name in _ALWAYS or not _same(getattr(value, f.name), _default(f))
+        if f.name in _ALWAYS or not _is_equal(getattr(value, f.name), _default(f))
     }
 
 
@@ -172,7 +172,7 @@ def _default(field: dataclasses.Field[Any]) -> Any:
     return field.default
 
 
-def _same(value: Any, default: Any) -> bool:
+def _is_equal(value: Any, default: Any) -> bool:
     """Whether two values are equal; False for arrays, whose comparison is not one bool.
 
     A value that was given differs from a default of which this can be told.
@@ -184,5 +184,5 @@ def _same(value: Any, default: Any) -> bool:
     return not hasattr(value, "shape") and bool(_plain(value) == _plain(default))
 
 
-def _here(problem: Problem) -> Problem:
+def _without_env(problem: Problem) -> Problem:
     return Problem(problem.path.removeprefix("env."), problem.message, problem.hint)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.unread_keys import unread_keys
 from embodichain.cli.terminal.last import announce_last, replace_last
-from embodichain.cli.terminal.process import Interrupted, StopFlag, started
+from embodichain.cli.terminal.process import Interrupted, StopFlag, end_startup
 from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
 from embodichain.cli.verb import command_line
 from embodichain.cli.words import split_overrides
@@ -93,7 +93,7 @@ class Job:
         compiled_scene: Its scene, for every environment of the job; None if a class adds to it.
         folder: The run folder, not shared with other runs.
         stop: Set by a signal; the job then ends after the current control step.
-        began: Set by `begin`.
+        began: Set by `begin`: all is built, and the folder stays.
     """
 
     resolved: Resolved
@@ -103,9 +103,9 @@ class Job:
     began: threading.Event = field(default_factory=threading.Event)
 
     def begin(self) -> None:
-        """Note that all is built: from now on the folder stays, whatever happens."""
+        """Declare that all is built: from now on the folder stays, whatever happens."""
         self.began.set()
-        started()
+        end_startup()
 
     @property
     def root(self) -> RootCfg:
@@ -147,20 +147,25 @@ class Job:
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         options["images"] = self.images
-        about: dict[str, Any] = {
+        metadata: dict[str, Any] = {
             "overrides": dump_yaml(list(self.resolved.overrides)),
             "options": RecordOptions(**options),
             "task": self.resolved.task_name,
             "policy": self.resolved.record({"policy": policy_name(self.root)})["policy"],
             "quota": quota,
         }
+        path = self.folder / name
         if self.root.sim.backend == "ray":
             from embodichain.cli.jobs.sharding import attach_logs
 
-            return attach_logs(self.resolved, env, self.folder / name, about)
-        config = dump_yaml(self.resolved.tree)
-        about["lists_counted"] = quota is None
-        recorder = McapRecorder(self.folder / name, env, config=config, **about)
+            return attach_logs(self.resolved, env, path, metadata)
+        recorder = McapRecorder(
+            path,
+            env,
+            config=dump_yaml(self.resolved.tree),
+            lists_counted=quota is None,
+            **metadata,
+        )
         env.add_observer(recorder)
         return recorder
 
@@ -212,10 +217,11 @@ class Job:
         )
         if shown is None:
             return None
-        how = f" ({shown.how})" if shown.how else ""
-        _log.info("viewer: %s%s", shown.address, how)  # a log has no token
-        if not self.quiet or shown.url != shown.address:  # a token not printed opens nothing
-            sys.stderr.write(f"viewer: {shown.url}{how}\n")
+        note = f" ({shown.how})" if shown.how else ""
+        _log.info("viewer: %s%s", shown.address, note)  # without the token, which is in the URL
+        # Who is not told the token cannot open the viewer: the URL is printed in any case.
+        if not self.quiet or shown.url != shown.address:
+            sys.stderr.write(f"viewer: {shown.url}{note}\n")
         warn_if_public(cfg.host, shown.url, controls=viewer.controls)
         return shown.page
 
@@ -237,7 +243,9 @@ class Job:
         from embodichain.config.keys.schema import VideoCfg
         from embodichain.recording.film.filming import film_log
 
-        cfg = self.root.video if isinstance(self.root.video, VideoCfg) else VideoCfg()
+        cfg = self.root.video
+        if not isinstance(cfg, VideoCfg):  # video=true
+            cfg = VideoCfg()
         out = self.folder / f"{VIDEO}.{cfg.format}"
         with ProgressDisplay("film", None, "pictures", quiet=self.quiet) as display:
             filmed = film_log(
@@ -253,7 +261,9 @@ class Job:
             _log.info("%s: %d pictures", out, filmed.pictures)
         else:
             _log.warning("%s", describe_early_end(self.stop, filmed, out))
-        return {"video": str(out)} if filmed.pictures else {}
+        if not filmed.pictures:
+            return {}
+        return {"video": str(out)}
 
 
 Work = Callable[[Job], float | None]
@@ -326,15 +336,18 @@ def check_job(composed: Composed, verb: JobVerb, *, any_key: bool = False) -> Ch
     Args:
         composed: The config.
         verb: The verb of the job.
-        any_key: Whether keys that the verb does not read are taken, too.
+        any_key: Whether keys that the verb does not read are allowed, too.
     """
     from embodichain.config.resolved import check_config
 
-    config = check_config(composed, verb)
-    unread = [] if any_key else unread_keys(verb, composed.overrides)
-    paths = {problem.path for problem in unread}
-    others = [problem for problem in config.check.problems if problem.path not in paths]
-    return replace(config, check=replace(config.check, problems=[*unread, *others]))
+    checked = check_config(composed, verb)
+    if any_key:
+        return checked
+    unread = unread_keys(verb, composed.overrides)
+    unread_paths = {problem.path for problem in unread}
+    # That a key is not read is said in place of what else is wrong with it.
+    others = [problem for problem in checked.check.problems if problem.path not in unread_paths]
+    return replace(checked, check=replace(checked.check, problems=[*unread, *others]))
 
 
 def resolve_job(composed: Composed, verb: JobVerb) -> Resolved:
@@ -379,7 +392,6 @@ def execute(
         Exception: Any exception of `work`.
     """
     from embodichain.config.resolved import compile_scene_of
-    from embodichain.config.run_folder import abandon, claim, latest_of, missing_folders
 
     resolved = pin_last(resolved)
     compiled_scene = compile_scene_of(resolved)
@@ -388,16 +400,8 @@ def execute(
 
         with resolved.locating():
             resolved = with_warp_values(resolved, verb, compiled_scene=compiled_scene)
-    root = resolved.root.output_dir
     if folder is None:
-        try:
-            latest_before = latest_of(root)
-            new_folders = missing_folders(root)
-        except OSError as error:  # a name that is too long
-            message = f"output_dir: cannot make a run folder in {root}: {error}"
-            raise ConfigError(message) from error
-        folder = claim(root, resolved.task_name)
-        take_back = partial(abandon, folder, root, latest_before, new_folders)
+        folder, take_back = _claim_folder(resolved)
     job = Job(resolved, compiled_scene, folder, stop=StopFlag())
     try:
         return _execute(job, work, command, goes_on=goes_on)
@@ -407,8 +411,30 @@ def execute(
         raise
 
 
+def _claim_folder(resolved: Resolved) -> tuple[Path, Callable[[], None]]:
+    """Make a new run folder.
+
+    Returns:
+        The folder, and a function that removes it and what was made for it.
+
+    Raises:
+        ConfigError: It cannot be made.
+    """
+    from embodichain.config.run_folder import abandon, claim, latest_of, missing_folders
+
+    output_dir = resolved.root.output_dir
+    try:
+        latest_before = latest_of(output_dir)
+        new_folders = missing_folders(output_dir)
+    except OSError as error:  # a name that is too long
+        message = f"output_dir: cannot make a run folder in {output_dir}: {error}"
+        raise ConfigError(message) from error
+    folder = claim(output_dir, resolved.task_name)
+    return folder, partial(abandon, folder, output_dir, latest_before, new_folders)
+
+
 def pin_last(resolved: Resolved) -> Resolved:
-    """Return the config with paths instead of the word ``last``; says which training it is.
+    """Return the config with paths instead of the word ``last``, and print which training it is.
 
     Raises:
         ConfigError: There is no such training any more.
@@ -454,18 +480,18 @@ def check_extras(root: RootCfg) -> None:
             install.
     """
     problems: list[Problem] = []
-    drawing: RenderError | None = None
-    for need in _needs(root):
+    render_error: RenderError | None = None
+    for check in _checks_of_extras(root):
         try:
-            need()
+            check()
         except ConfigError as error:
             problems += error.problems
         except RenderError as error:
-            drawing = error
-    if drawing is not None:
+            render_error = error
+    if render_error is not None:
         if not problems:
-            raise drawing
-        problems.append(Problem("", str(drawing)))
+            raise render_error
+        problems.append(Problem("", str(render_error)))
     if problems:
         raise ConfigError(problems)
 
@@ -475,19 +501,24 @@ def _shows_pictures(viewer: str) -> bool:
     return viewer != NO_VIEWER and bool(VIEWERS[viewer].pictures)
 
 
-def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
-    """Checks of packages and programs that the plain package lacks; each raises what is missing."""
+def _checks_of_extras(root: RootCfg) -> Iterator[Callable[[], None]]:
+    """Checks of packages and programs that are not installed with this package alone.
+
+    Yields:
+        Functions that raise a `ConfigError` or a `RenderError` that says what is missing.
+    """
+    viewer = root.viewer.name
     has_log = root.record.format != "none"
     if sys.platform in LIMITED:
-        features = [f"viewer={root.viewer.name}"]
+        features = [f"viewer={viewer}"]
         if has_log:
             features.append("record=mcap")
         yield partial(platforms.need, *features)
-    if root.viewer.name in VIEWERS.entry_names():  # its module may not work
-        yield partial(VIEWERS.__getitem__, root.viewer.name)
+    if viewer in VIEWERS.entry_names():  # a package outside: its module may not work
+        yield partial(VIEWERS.__getitem__, viewer)
     images = root.record.images
-    if not has_log and not _shows_pictures(root.viewer.name):
-        images = None  # without a log or a viewer for them
+    if not has_log and not _shows_pictures(viewer):
+        images = None  # nothing takes them
     keys_that_draw = []
     if root.video:
         from embodichain.utils.system.video import need_encoder
@@ -507,9 +538,11 @@ def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
 
 
 def policy_name(root: RootCfg) -> str:
-    """Return the name, import path or path of the policy that a config chooses."""
-    chosen = root.policy or "random"
-    return chosen if isinstance(chosen, str) else chosen.func
+    """Return the name, import path or file of the policy that a config chooses."""
+    policy = root.policy or "random"
+    if isinstance(policy, str):
+        return policy
+    return policy.func
 
 
 def policy_of(
@@ -540,10 +573,10 @@ def policy_of(
             trust=root.trust,
         )
 
-    chosen = policy or root.policy or "random"
-    if not isinstance(chosen, str):
-        return resolve_policy({"func": chosen.func, "params": chosen.params}, load_file=load)
-    return resolve_policy(chosen, load_file=load)
+    choice = policy or root.policy or "random"
+    if isinstance(choice, str):
+        return resolve_policy(choice, load_file=load)
+    return resolve_policy({"func": choice.func, "params": choice.params}, load_file=load)
 
 
 def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
@@ -571,7 +604,8 @@ def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
 
 def describe_early_end(stop: StopFlag, filmed: Filmed, out: Path) -> str:
     """Return a message about a video that a signal ended early."""
+    interruption = f"interrupted ({stop.stopped})"
     if not filmed.pictures:
-        return f"interrupted ({stop.stopped}); {out} was not begun"
-    till = f"{filmed.pictures} pictures, up to control step {filmed.step}"
-    return f"interrupted ({stop.stopped}); {out} is a whole film of the first {till}"
+        return f"{interruption}; {out} was not begun"
+    extent = f"{filmed.pictures} pictures, up to control step {filmed.step}"
+    return f"{interruption}; {out} is a complete film of the first {extent}"

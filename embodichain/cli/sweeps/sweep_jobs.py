@@ -107,7 +107,7 @@ def enter(
         JobRunsError: Another process runs the job.
     """
     resolved = resolved.pinned()
-    with _locked(folder):
+    with _lock(folder):
         state = state_in(folder, verb)
         if state == "new":
             if not (folder / CONFIG).is_file():
@@ -117,7 +117,7 @@ def enter(
         earlier = read_config(folder / CONFIG)
         if seed_is_drawn:
             resolved = resolved.changed(seed=earlier.get("seed"))
-        _check_same(folder, earlier, resolved)
+        _check_same_config(folder, earlier, resolved)
         if state == "finished":
             objective = objective_in(folder)
             yield Entered(resolved, goes_on=True, finished=True, objective=objective)
@@ -131,7 +131,7 @@ def enter(
             return
         if state == "resumable":
             resolved = resolved.changed(resume=str(folder.resolve()))
-        _set_aside(folder)
+        _move_evaluation_files(folder)
         yield Entered(resolved, goes_on=True)
 
 
@@ -219,7 +219,7 @@ def stop_mark(sweep: Path) -> Path:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
+def _lock(folder: Path) -> Iterator[None]:
     """Lock the folder's name; the lock ends with the process that has it (flock(2))."""
     path = folder.with_name(f".{folder.name}.lock")
     try:
@@ -259,7 +259,7 @@ def _note_owner(stream: TextIO) -> None:
         stream.flush()
 
 
-def _check_same(folder: Path, earlier: Mapping[str, Any], resolved: Resolved) -> None:
+def _check_same_config(folder: Path, earlier: Mapping[str, Any], resolved: Resolved) -> None:
     """Check that a folder's job is the one with this config."""
     now = yaml.safe_load(dump_yaml(resolved.tree))
     differences = list(_differences(_relevant_keys(earlier), _relevant_keys(now)))
@@ -287,7 +287,7 @@ def _differences(before: Any, now: Any, path: str = "") -> Iterator[str]:
         yield f"{path} is {before!r} there, {now!r} here"
 
 
-def _set_aside(folder: Path) -> None:
+def _move_evaluation_files(folder: Path) -> None:
     """Move files of an evaluation that did not end into a folder of their own."""
     evaluation_files = [*folder.glob("rollout.*"), *folder.glob("eval.json")]
     if not evaluation_files:

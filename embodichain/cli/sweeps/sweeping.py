@@ -29,7 +29,7 @@ from embodichain.cli.sweeps.hydra_folders import check_subfolders, folder_named,
 from embodichain.cli.sweeps.sweep_jobs import JobStoppedError, enter, stop_mark
 from embodichain.cli.sweeps.sweep_plan import (
     Plan,
-    composed_for_hydra,
+    compose_for_hydra,
     plan_sweep,
     with_sweepers_params,
 )
@@ -163,8 +163,8 @@ def _check_sweep(
     overrides = with_sweepers_params(verb, overrides)
     jobs = list(points(overrides, _MOST_CHECKED_JOBS))
     checked_jobs = [check(job_overrides) for job_overrides in jobs]
-    if not numbers_jobs(composed_for_hydra(verb, jobs[0])):
-        check_subfolders([composed_for_hydra(verb, job_overrides) for job_overrides in jobs])
+    if not numbers_jobs(compose_for_hydra(verb, jobs[0])):
+        check_subfolders([compose_for_hydra(verb, job_overrides) for job_overrides in jobs])
     return plan_sweep(verb, towards_scores(overrides), checked_jobs[0])
 
 
@@ -185,7 +185,7 @@ def _run_in_sweep(
     with enter(folder, resolved, verb, seed_is_drawn=seed_is_drawn) as entered:
         objective = entered.objective
         if not entered.finished:
-            with _stopping_alone():
+            with _replace_interrupt():
                 objective = run_job(entered.resolved, folder=folder, goes_on=entered.goes_on)
         elif not resolved.root.quiet:
             sys.stderr.write(f"finished already: {folder}\n")
@@ -216,7 +216,7 @@ def _check_run_folder(verb: JobVerb, overrides: Sequence[str]) -> list[Path]:
     Returns:
         The folders that will be made, the innermost first.
     """
-    config = composed_for_hydra(verb, overrides, RunMode.RUN)
+    config = compose_for_hydra(verb, overrides, RunMode.RUN)
     is_typed = any(line.lstrip("+").startswith(f"{_RUN_FOLDER}=") for line in overrides)
     folder = folder_named(config, _RUN_FOLDER)
     if not is_typed and folder == ".":
@@ -316,7 +316,7 @@ def _check_objective(objective: float | None, verb: JobVerb, resolved: Resolved)
 
 
 @contextmanager
-def _stopping_alone() -> Iterator[None]:
+def _replace_interrupt() -> Iterator[None]:
     """In a worker of joblib, replace an interrupt, for which joblib would kill other workers."""
     try:
         yield

@@ -36,10 +36,10 @@ __all__ = [
     "StopFlag",
     "check_mujoco_gl",
     "check_text",
+    "end_startup",
     "own_modules",
     "report",
     "signals_raise",
-    "started",
     "starting",
 ]
 
@@ -54,11 +54,19 @@ _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
 ]
 _FAULTS = {
-    *(errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ESTALE),
-    *(errno.ENOMEM, errno.EMFILE, errno.ENFILE),
+    errno.EIO,
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.ESTALE,
+    errno.ENOMEM,
+    errno.EMFILE,
+    errno.ENFILE,
 }
 """Errors of the operating system that are about the machine, not about what was typed."""
 _GL = "MUJOCO_GL"
+_REDELIVERY_S = 10.0
+"""Seconds after which a signal is delivered again; removing partial files takes less."""
 _TWICE = "interrupted twice: left without closing everything"
 
 
@@ -87,14 +95,14 @@ def check_mujoco_gl() -> None:
     Raises:
         ConfigError: If there is no such library.
     """
-    named = os.environ.get(_GL)
-    if not named:
+    backend = os.environ.get(_GL)
+    if not backend:
         return
     try:
         import mujoco  # noqa: F401
     except (AttributeError, ImportError, OSError, RuntimeError) as error:
         message = (
-            f"MuJoCo cannot be imported with {named!r} ({error}); unset it, or use egl, "
+            f"MuJoCo cannot be imported with {backend!r} ({error}); unset it, or use egl, "
             "osmesa (`apt-get install libosmesa6`), glfw (needs a display) or disable"
         )
         raise ConfigError([Problem(_GL, message, source="environment variable")]) from error
@@ -121,15 +129,15 @@ def check_text(words: Iterable[str]) -> None:
 
 @contextmanager
 def starting() -> Iterator[None]:
-    """Disable the collection of cyclic garbage inside the context, until `started` is called."""
+    """Collect no cyclic garbage inside the context, until `end_startup` is called."""
     gc.disable()
     try:
         yield
     finally:
-        started()
+        end_startup()
 
 
-def started() -> None:
+def end_startup() -> None:
     """Enable collection again, except for existing objects, most of which are modules."""
     if not gc.isenabled():
         _freeze()
@@ -153,14 +161,16 @@ def signals_raise() -> Iterator[None]:
     discard them. If the context is not left, the signal is delivered again: at once where Python
     reports the exception, otherwise every ten seconds: removing partial files takes less.
     """
-    came: list[str] = []
+    received: list[str] = []  # the first signal's name
     timers: list[threading.Timer] = []
     hook = sys.unraisablehook
     main = threading.main_thread().ident
 
     def deliver(number: int, seconds: float) -> None:
+        """Send a signal again after a while."""
+
         def send() -> None:
-            came.clear()
+            received.clear()
             if hasattr(signal, "pthread_kill"):
                 signal.pthread_kill(main or 0, number)
             else:  # Windows
@@ -172,20 +182,22 @@ def signals_raise() -> Iterator[None]:
         timer.start()
 
     def handle(number: int, frame: FrameType | None) -> None:
+        """Raise at the first signal, and at each Ctrl-C after it."""
         name = signal.Signals(number).name
-        if not came:
-            came.append(name)
-            deliver(number, 10.0)
+        if not received:
+            received.append(name)
+            deliver(number, _REDELIVERY_S)
             raise Interrupted.by(name, f"interrupted ({name})")
         if number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
 
     def deliver_again(ignored: sys.UnraisableHookArgs) -> None:
+        """Send a signal again whose exception Python ignores."""
         if not isinstance(ignored.exc_value, Interrupted):
             hook(ignored)
             return
         timers.pop().cancel()
-        deliver(signal.Signals[came[0]], 0.01)
+        deliver(signal.Signals[received[0]], 0.01)
 
     sys.unraisablehook = deliver_again
     try:
@@ -285,7 +297,9 @@ def _exit_code(error: BaseException) -> int:
     if not isinstance(error, ConfigError):
         return FAILED
     is_one_fault = len(error.problems) < 2 and _is_fault(error)
-    return FAILED if is_one_fault else WRONG_INPUT
+    if is_one_fault:
+        return FAILED
+    return WRONG_INPUT
 
 
 def _message(error: BaseException, *, full: bool) -> str:
@@ -331,11 +345,14 @@ def _line(error: BaseException) -> str:
     """
     if isinstance(error, OSError) and error.errno is not None and error.strerror:
         files = [str(name) for name in (error.filename, error.filename2) if name is not None]
-        return f"{error.strerror}: {' -> '.join(files)}" if files else error.strerror
+        if not files:
+            return error.strerror
+        return f"{error.strerror}: {' -> '.join(files)}"
     texts = [str(error), *getattr(error, "__notes__", ())]
     text = " ".join(" ".join(texts).split())
     name = type(error).__name__
     if not text:
         return name
-    is_ours = type(error).__module__.startswith("embodichain.")
-    return text if is_ours else f"{name}: {text}"
+    if type(error).__module__.startswith("embodichain."):
+        return text
+    return f"{name}: {text}"

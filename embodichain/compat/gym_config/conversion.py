@@ -105,7 +105,7 @@ def convert(
             as in a task declared in Python.
     """
     draft = Draft(ours)
-    draft.carry(config, (), (), TOP)
+    draft.apply_rules(config, (), (), TOP)
     _identity(draft, config.get("id"), registered)
     _physics(draft, config)
     robot = ""
@@ -117,7 +117,7 @@ def convert(
     scene.convert_lights(draft, config.get("light"))
     scene.convert_sensors(draft, config.get("sensor"), config.get("enable_sensor") is not False)
     env = config.get("env")
-    if env is not None and draft.carry(env, ("env",), (), ENV):
+    if env is not None and draft.apply_rules(env, ("env",), (), ENV):
         _control_period(draft, env)
         convert_actions(draft, env, robot)
         for section in ("events", "observations", "rewards"):
@@ -125,7 +125,7 @@ def convert(
         if config.get("id") in CLASSES and "id" not in draft.task:
             _note_lost_success(draft, config["id"])
     _suggest(draft, config)
-    _refuse_nothing(draft, config)
+    _refuse_empty_task(draft, config)
     task = {key: draft.task[key] for key in _ORDER if key in draft.task}
     name = config.get("id")
     return Conversion(
@@ -167,7 +167,7 @@ def _note_lost_success(draft: Draft, name: str) -> None:
             draft.note(("env", "rewards", key), message)
 
 
-def _refuse_nothing(draft: Draft, config: Mapping[str, Any]) -> None:
+def _refuse_empty_task(draft: Draft, config: Mapping[str, Any]) -> None:
     """Refuse a task without robot, object and articulation: it would simulate nothing."""
     for key in _COMPONENTS:
         if config.get(key) is not None:
@@ -181,7 +181,7 @@ def _refuse_nothing(draft: Draft, config: Mapping[str, Any]) -> None:
 
 def _physics(draft: Draft, config: Mapping[str, Any]) -> None:
     if config.get("physics_config") is not None:
-        draft.carry(config["physics_config"], ("physics_config",), ("physics",), PHYSICS)
+        draft.apply_rules(config["physics_config"], ("physics_config",), ("physics",), PHYSICS)
     if config.get("physics_dt") is not None:
         draft.put(("physics", "physics_dt"), config["physics_dt"], ("physics_dt",))
 

@@ -53,7 +53,7 @@ class Draft:
         """Add a problem."""
         self.problems.append(Problem(".".join(source), message, hint.strip()))
 
-    def carry(self, data: Any, source: Path, target: Path, vocabulary: Vocabulary) -> bool:
+    def apply_rules(self, data: Any, source: Path, target: Path, vocabulary: Vocabulary) -> bool:
         """Apply a table's rules to the keys of a map; keys that are `HANDLED` are not touched.
 
         Args:

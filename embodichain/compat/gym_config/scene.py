@@ -41,7 +41,7 @@ def convert_objects(draft: Draft, section: str, data: Any) -> None:
     """
     for source, item in draft.items(data, (section,)):
         target = draft.entity(item, source, "objects")
-        if target is None or not draft.carry(item, source, target, known.RIGID_OBJECT):
+        if target is None or not draft.apply_rules(item, source, target, known.RIGID_OBJECT):
             continue
         if item.get("shape") is not None:
             _shape(draft, item["shape"], (*source, "shape"), (*target, "shape"))
@@ -66,18 +66,18 @@ def _damping(draft: Draft, source: Path, target: Path) -> None:
 def _attrs(draft: Draft, data: Any, source: Path, target: Path) -> None:
     """Convert the attributes of a body: flat, or in the groups of release 0.3."""
     if not isinstance(data, Mapping):
-        draft.carry(data, source, target, known.ATTRS)  # refuses it
+        draft.apply_rules(data, source, target, known.ATTRS)  # refuses it
         return
     flat = {k: v for k, v in data.items() if k not in known.ATTR_GROUPS}
-    draft.carry(flat, source, target, known.ATTRS)
+    draft.apply_rules(flat, source, target, known.ATTRS)
     for group in known.ATTR_GROUPS:
         if data.get(group) is not None:
-            draft.carry(data[group], (*source, group), target, known.ATTRS)
+            draft.apply_rules(data[group], (*source, group), target, known.ATTRS)
 
 
 def convert_lights(draft: Draft, data: Any) -> None:
     """Convert the section `light`: its direct lights."""
-    if data is None or not draft.carry(data, ("light",), (), known.LIGHTS):
+    if data is None or not draft.apply_rules(data, ("light",), (), known.LIGHTS):
         return
     for source, item in draft.items(data.get("direct"), ("light", "direct")):
         kind = item.get("light_type") if isinstance(item, Mapping) else None
@@ -85,7 +85,7 @@ def convert_lights(draft: Draft, data: Any) -> None:
             draft.note(source, f"lights of type {kind} are not drawn")
             continue
         target = draft.entity(item, source, "lights")
-        if target is None or not draft.carry(item, source, target, known.LIGHT):
+        if target is None or not draft.apply_rules(item, source, target, known.LIGHT):
             continue
         if kind is not None:
             draft.put((*target, "light_type"), kind, (*source, "light_type"))
@@ -114,7 +114,7 @@ def convert_sensors(draft: Draft, data: Any, observe: bool = True) -> None:
 def _camera(draft: Draft, item: Mapping[str, Any], source: Path, kind: str, observe: bool) -> None:
     """Convert a camera, or a pair of them."""
     target = draft.entity(item, source, "sensors")
-    if target is None or not draft.carry(item, source, target, known.CAMERAS[kind]):
+    if target is None or not draft.apply_rules(item, source, target, known.CAMERAS[kind]):
         return
     draft.put((*target, "sensor_type"), _CAMERA_TYPES[kind], (*source, "sensor_type"))
     draft.put((*target, "observe"), observe, source)
@@ -155,11 +155,11 @@ def _shape(draft: Draft, data: Any, source: Path, target: Path) -> None:
         return
     draft.put((*target, "shape_type"), kind, (*source, "shape_type"))
     keys = {k: v for k, v in data.items() if k not in ("shape_type", "visual_material")}
-    draft.carry(keys, source, target, known.SHAPES[kind])
+    draft.apply_rules(keys, source, target, known.SHAPES[kind])
     material = data.get("visual_material")
     if material is not None:
         where = (*source, "visual_material")
-        draft.carry(material, where, (*target, "visual_material"), known.MATERIAL)
+        draft.apply_rules(material, where, (*target, "visual_material"), known.MATERIAL)
         texture = material.get("base_color_texture") if isinstance(material, Mapping) else None
         if isinstance(texture, str):
             place = (*target, "visual_material", "textures")
@@ -171,7 +171,7 @@ def _shape(draft: Draft, data: Any, source: Path, target: Path) -> None:
 def convert_robot(draft: Draft, data: Any) -> str:
     """Convert the section `robot`; return the robot's uid, empty if it is unknown."""
     source: Path = ("robot",)
-    if not draft.carry(data, source, ("robot",), known.ROBOT):
+    if not draft.apply_rules(data, source, ("robot",), known.ROBOT):
         return ""
     if data.get("uid"):
         draft.put(("robot", "uid"), data["uid"], ("robot", "uid"))
@@ -197,7 +197,7 @@ def convert_articulations(draft: Draft, data: Any) -> None:
     """Convert the section `articulation`."""
     for source, item in draft.items(data, ("articulation",)):
         target = draft.entity(item, source, "articulations", fallback="fpath")
-        if target is not None and draft.carry(item, source, target, known.ARTICULATION):
+        if target is not None and draft.apply_rules(item, source, target, known.ARTICULATION):
             _parts_of_articulation(draft, item, source, target)
 
 
@@ -240,7 +240,7 @@ def _unknown_kind(draft: Draft, kind: Any, key: str, *, has_file: bool) -> None:
 def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
     """Convert a robot assembled from files; the arm is the preset's file by default."""
     source: Path = ("robot", "urdf_cfg")
-    if not draft.carry(urdf, source, source, known.URDF):
+    if not draft.apply_rules(urdf, source, source, known.URDF):
         return
     where = (*source, "components")
     data = urdf.get("components")
@@ -267,10 +267,10 @@ def _solvers(draft: Draft, data: Any) -> None:
     """Tool points by control part; a solver without a part applies to the whole robot."""
     source: Path = ("robot", "solver_cfg")
     if isinstance(data, Mapping) and any(key in known.SOLVER for key in data):
-        draft.carry(data, source, (*source, "default"), known.SOLVER)
+        draft.apply_rules(data, source, (*source, "default"), known.SOLVER)
         return
     for where, part, solver in draft.entries(data, source):
-        draft.carry(solver, where, (*source, part), known.SOLVER)
+        draft.apply_rules(solver, where, (*source, part), known.SOLVER)
 
 
 def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
@@ -290,7 +290,7 @@ def _parts_of_articulation(
     """Drives, attributes and properties of the root, by the names of releases 0.2 and 0.3."""
     for key in ("drive_pros", "joint_drive_props"):
         if data.get(key) is not None:
-            draft.carry(data[key], (*source, key), (*target, "drive_pros"), known.DRIVE)
+            draft.apply_rules(data[key], (*source, key), (*target, "drive_pros"), known.DRIVE)
     if data.get("attrs") is not None:
         _attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
     root = data.get("root_props")
@@ -298,7 +298,7 @@ def _parts_of_articulation(
     collides = root.get("self_collision_enabled") if isinstance(root, Mapping) else None
     if collides is None and data.get("disable_self_collision") is None:  # EmbodiChain's default
         draft.put((*target, "disable_self_collision"), True, source)
-    if root is not None and draft.carry(root, where, target, known.ROOT_PROPS):
+    if root is not None and draft.apply_rules(root, where, target, known.ROOT_PROPS):
         if "fixed_base" in root:
             draft.put((*target, "fix_base"), root["fixed_base"], (*where, "fixed_base"))
         if collides is not None:

@@ -73,7 +73,7 @@ def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str
         if section == "observations":
             # EmbodiChain's default is to modify, here it is to add.
             draft.put((*target, "mode"), functor.get("mode", "modify"), (*source, "mode"))
-        draft.carry(functor, source, target, vocabulary)
+        draft.apply_rules(functor, source, target, vocabulary)
         if params:
             fitted = _with_entity(params, spec, {"uid": robot})
             draft.put((*target, "params"), fitted, (*source, "params"))
@@ -101,7 +101,7 @@ def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
         if func is not None:
             target = ("actions", name)
             draft.put((*target, "func"), func, (*source, "func"))
-            draft.carry(functor, source, target, ACTION)
+            draft.apply_rules(functor, source, target, ACTION)
             params = _action_params(draft, functor, source, spec, entity)
             draft.put((*target, "params"), params, (*source, "params"))
 

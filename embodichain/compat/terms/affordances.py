@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from embodichain.compat.terms._targets import asset_of, stored
+from embodichain.compat.terms._targets import asset_of, get_or_create
 from embodichain.lab.gym.envs.cfg import EnvCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.managers.param_types import Body, Whole
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
@@ -132,7 +132,7 @@ class PrepareExtraAttr(Term):
             for number, attr in enumerate(attrs)
             for uid in _uids_with(env, attr, f"attrs.{number}")
         ]
-        stored(env, EXTRA_ATTRS, dict, "attrs")
+        get_or_create(env, EXTRA_ATTRS, dict, "attrs")
 
     @classmethod
     def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
@@ -212,7 +212,7 @@ class RegisterInfoToEnv(Term):
     ) -> None:
         self._env = env
         self._table = registration
-        stored(env, registration, dict, "registration")
+        get_or_create(env, registration, dict, "registration")
         self._keys: dict[str, None] = {}
         self._registry = [(env.scene_entity(entry.entity_cfg), entry) for entry in registry]
         self._steps = _UPDATE_STEPS if sim_update else 0

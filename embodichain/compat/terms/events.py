@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._targets import RigidObject, asset_of, stored
+from embodichain.compat.terms._targets import RigidObject, asset_of, get_or_create
 from embodichain.lab.gym.envs.managers.param_types import (
     Arm,
     Axes6,
@@ -250,7 +250,7 @@ class RandomizeAnchorHeight(Term):
         self._height = Uniform("height", [bounds[0]], [bounds[1]])
         self._delta: Floats = env.arrays.full(env.num_envs, 0.0)
         if store_key is not None:
-            stored(env, store_key, lambda: tensor_of(self._heights()), "store_key")
+            get_or_create(env, store_key, lambda: tensor_of(self._heights()), "store_key")
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Clear the draws, as a reset restores the configured heights."""
@@ -334,7 +334,7 @@ class RandomizeTargetPose(Term):
         unturned = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (count, 1))
         self._unturned: Floats = env.arrays.put(unturned)
         first = tensor_of(env.arrays.put(np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))))
-        stored(env, store_key, lambda: first, "store_key")
+        get_or_create(env, store_key, lambda: first, "store_key")
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw the target poses of these environments."""

@@ -84,7 +84,7 @@ def command(options: ValidateOptions) -> int:
             config = _check_file(name, _verb(options) or "run", notes)
         else:
             config = _check_overrides(split_overrides(options.words), _verb(options), notes)
-        further_notes, problems = _every_mistake(config, notes)
+        further_notes, problems = _find_mistakes(config, notes)
         notes += further_notes
     except ConfigError as error:
         problems = error.problems
@@ -144,7 +144,7 @@ def _check_overrides(lines: list[str], verb: JobVerb | None, notes: list[Problem
     return check_job(composed, job_verb, any_key=verb is None)
 
 
-def _every_mistake(
+def _find_mistakes(
     config: Checked, before: Sequence[Problem]
 ) -> tuple[list[Problem], tuple[Problem, ...]]:
     """Check a config as far as a job of it can be, also where a part of it has mistakes.
@@ -167,27 +167,27 @@ def _every_mistake(
     problems = list(config.check.problems)
     root = config.check.types.root
     if problems and root is not None:
-        with _collecting(problems, config.locating):
+        with _collect_mistakes(problems, config.locating):
             check_extras(root)
         roots = {problem.path.partition(".")[0] for problem in problems}
         if config.verb == "train" and roots == {"task"}:
             from embodichain.learning.training.train import check_training
 
             rest = replace(config, check=replace(config.check, problems=[]))
-            with _collecting(problems, config.locating):
+            with _collect_mistakes(problems, config.locating):
                 check_training(rest.resolved())
     elif not problems:
         with warnings_on_stderr():
             resolved = pin_last(config.resolved())
             notes += [note for note in resolved.notes if note not in before]
-            with _collecting(problems, resolved.locating):
+            with _collect_mistakes(problems, resolved.locating):
                 if config.verb == "train":
                     from embodichain.learning.training.train import check_training
 
                     check_training(resolved)
-            with _collecting(problems, resolved.locating):
+            with _collect_mistakes(problems, resolved.locating):
                 check_extras(resolved.root)
-            with _collecting(problems, resolved.locating):
+            with _collect_mistakes(problems, resolved.locating):
                 scene = compile_scene_of(resolved)
                 num_notes = len(resolved.notes)
                 resolved = with_warp_values(resolved, config.verb, compiled_scene=scene)
@@ -199,7 +199,7 @@ def _every_mistake(
 
 
 @contextmanager
-def _collecting(
+def _collect_mistakes(
     problems: list[Problem], locating: Callable[[], AbstractContextManager[None]]
 ) -> Iterator[None]:
     """Add the mistakes that are raised inside the context, with their places, to a list."""
