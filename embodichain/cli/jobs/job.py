@@ -372,8 +372,8 @@ def execute(
     folder: Path | None = None,
     *,
     verb: JobVerb = "run",
-    goes_on: bool = False,
-    take_back: Callable[[], None] | None = None,
+    is_continued: bool = False,
+    undo_claim: Callable[[], None] | None = None,
 ) -> float | None:
     """Compile the scene of a job, and run it in its folder, with a log file.
 
@@ -381,10 +381,10 @@ def execute(
         resolved: The config.
         work: The work of the job.
         command: The command line, as typed.
-        folder: The run folder; None claims a new one, which a refused job does not leave.
+        folder: The run folder; None makes a new one, which is removed if the job is refused.
         verb: The verb of the job.
-        goes_on: Whether the folder belongs to this job already; its config stays.
-        take_back: Called where the job is refused before it began, with a folder that is given.
+        is_continued: Whether the folder belongs to this job already; its config stays.
+        undo_claim: Called if the job is refused before it began, where `folder` is given.
 
     Raises:
         ConfigError: The scene cannot be compiled, or the folder cannot be made.
@@ -401,13 +401,13 @@ def execute(
         with resolved.locating():
             resolved = with_warp_values(resolved, verb, compiled_scene=compiled_scene)
     if folder is None:
-        folder, take_back = _claim_folder(resolved)
+        folder, undo_claim = _claim_folder(resolved)
     job = Job(resolved, compiled_scene, folder, stop=StopFlag())
     try:
-        return _execute(job, work, command, goes_on=goes_on)
+        return _execute(job, work, command, is_continued=is_continued)
     except (ConfigError, RenderError):  # the input is wrong: exit code 2, nothing was started
-        if not job.began.is_set() and take_back is not None:
-            take_back()
+        if not job.began.is_set() and undo_claim is not None:
+            undo_claim()
         raise
 
 
@@ -445,7 +445,7 @@ def pin_last(resolved: Resolved) -> Resolved:
     return pinned_config
 
 
-def _execute(job: Job, work: Work, command: Sequence[str], *, goes_on: bool) -> float | None:
+def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool) -> float | None:
     """Run a job in its folder; see `execute`."""
     from embodichain.config.checks.viewer_access import without_token
     from embodichain.config.resolved import write_record
@@ -453,7 +453,7 @@ def _execute(job: Job, work: Work, command: Sequence[str], *, goes_on: bool) -> 
     resolved = job.resolved
     folder = job.folder
     command = without_token(replace_last(command))
-    if not goes_on:
+    if not is_continued:
         write_record(folder, resolved, command)
     with log_to(folder / LOG_FILE) as log, job.stop as stop:
         log.info("command: %s", shlex.join(command))

@@ -68,13 +68,13 @@ class Entered:
 
     Attributes:
         resolved: Its config, changed so that it continues.
-        goes_on: Whether the folder has the job's config already.
+        is_continued: Whether the folder has the job's config already.
         objective: Of a finished job.
         finished: Whether nothing is left to do.
     """
 
     resolved: Resolved
-    goes_on: bool = False
+    is_continued: bool = False
     finished: bool = False
     objective: float | None = None
 
@@ -120,7 +120,7 @@ def enter(
         _check_same_config(folder, earlier, resolved)
         if state == "finished":
             objective = objective_in(folder)
-            yield Entered(resolved, goes_on=True, finished=True, objective=objective)
+            yield Entered(resolved, is_continued=True, finished=True, objective=objective)
             return
         if state == "stopped":
             new_name = _unused_path(folder.with_name(f"{folder.name}.earlier"))
@@ -132,7 +132,7 @@ def enter(
         if state == "resumable":
             resolved = resolved.changed(resume=str(folder.resolve()))
         _move_evaluation_files(folder)
-        yield Entered(resolved, goes_on=True)
+        yield Entered(resolved, is_continued=True)
 
 
 def state_in(folder: Path, verb: JobVerb) -> State:

@@ -77,8 +77,8 @@ class RunJob(Protocol):
         resolved: Resolved,
         *,
         folder: Path | None = None,
-        goes_on: bool = False,
-        take_back: Callable[[], None] | None = None,
+        is_continued: bool = False,
+        undo_claim: Callable[[], None] | None = None,
     ) -> float | None: ...
 
 
@@ -186,7 +186,9 @@ def _run_in_sweep(
         objective = entered.objective
         if not entered.finished:
             with _replace_interrupt():
-                objective = run_job(entered.resolved, folder=folder, goes_on=entered.goes_on)
+                objective = run_job(
+                    entered.resolved, folder=folder, is_continued=entered.is_continued
+                )
         elif not resolved.root.quiet:
             sys.stderr.write(f"finished already: {folder}\n")
         _check_objective(objective, verb, resolved)
@@ -207,7 +209,7 @@ def _run_in_folder(
     names_before = {entry.name for entry in folder.iterdir()}
     removed = [folder, *new_folders] if new_folders else []
     undo = partial(take_back, folder, names_before, removed)
-    return run_job(resolved, folder=adopt(folder), take_back=undo)
+    return run_job(resolved, folder=adopt(folder), undo_claim=undo)
 
 
 def _check_run_folder(verb: JobVerb, overrides: Sequence[str]) -> list[Path]:

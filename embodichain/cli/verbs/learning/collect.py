@@ -55,5 +55,5 @@ def command(options: JobOptions) -> None:
         command_line(),
         folder=folder,
         verb="collect",
-        goes_on=True,
+        is_continued=True,
     )
