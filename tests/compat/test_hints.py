@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from embodichain.cli import main
+from embodichain.cli.app import load_verb
 from embodichain.cli.verb import VERBS
 from embodichain.cli.verbs.running import run_env
 from embodichain.compat import unavailable
@@ -74,8 +75,10 @@ def test_there_are_hints() -> None:
 
 @pytest.mark.parametrize("hint", HINTS)
 def test_a_hint_names_what_exists(hint: str) -> None:
-    for verb in re.findall(r"`?embodichain ([a-z][a-z-]*)", hint):
+    for verb, rest in re.findall(r"embodichain ([a-z][a-z-]*)([^`;,]*)", hint):
         assert verb in VERBS
+        options = {option for parameter in load_verb(verb).params for option in parameter.opts}
+        assert set(re.findall(r"(?<!\S)--?[a-z][a-z-]*", rest)) <= options
     for name in re.findall(r"(?<!torch\.)\b[a-z]+_[a-z_]+\b", hint):
         assert name in NAMES
     for key in re.findall(r"\b([a-z][a-z_.]*)=", hint):
