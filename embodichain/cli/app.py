@@ -1,4 +1,4 @@
-"""The `embodichain` command: a click group of verbs; `cli.verb` declares them.
+"""The `embodichain` command: a click group of verbs, which `cli.verb` lists and declares.
 
 A verb is the click command ``command`` of the module `embodichain.cli.verbs.FOLDER.NAME`, which is
 imported when the verb is called or its help is printed.
@@ -12,7 +12,12 @@ import sys
 from contextlib import nullcontext
 
 import click
-from click.shell_completion import BashComplete, add_completion_class, shell_complete
+from click.shell_completion import (
+    BashComplete,
+    CompletionItem,
+    add_completion_class,
+    shell_complete,
+)
 
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.plain_text import degrading_text
@@ -21,15 +26,7 @@ from embodichain.cli.words import ROOT_KEYS
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["FOLDERS", "call", "load_verb", "main"]
-
-FOLDERS = {
-    "running": ("run", "run-env", "demo", "play", "bench", "doctor"),
-    "learning": ("train", "eval", "compare", "collect", "augment"),
-    "logs": ("replay", "view", "recover", "diff", "report", "export"),
-    "tasks": ("list", "show", "render", "validate", "convert", "new"),
-}
-"""Folder of `cli.verbs` -> the verbs whose modules are in it."""
+__all__ = ["call", "load_verb", "main"]
 
 _OVERVIEW = f"""
 Completion: eval "$(embodichain -sc install=bash)" (or zsh, fish)
@@ -40,9 +37,10 @@ Examples:
   embodichain list tasks
 
 {EXIT_CODES}"""
-_QUICK_START = ("run", "run-env", "train")
-"""Verbs that call `process.started` once their start-up is over."""
+_STARTING_VERBS = ("run", "run-env", "train")
+"""Verbs that call `process.end_startup` once their start-up is over."""
 _COMPLETE = "_EMBODICHAIN_COMPLETE"
+"""Variable of the environment with which a shell asks for completions."""
 _UNINSTALL = {
     "bash": "complete -r embodichain",
     "zsh": "compdef -d embodichain",
@@ -52,8 +50,9 @@ _UNINSTALL = {
 
 def load_verb(name: str) -> Verb:
     """Import the module of a verb, one of `VERBS`, and return its command."""
-    folder = next(folder for folder, verbs in FOLDERS.items() if name in verbs)
-    module = importlib.import_module(f"embodichain.cli.verbs.{folder}.{name.replace('-', '_')}")
+    folder = VERBS[name].folder
+    module_name = name.replace("-", "_")
+    module = importlib.import_module(f"embodichain.cli.verbs.{folder}.{module_name}")
     return module.command
 
 
@@ -70,19 +69,21 @@ class _Verbs(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+            formatter.write_dl([(name, entry.description) for name, entry in VERBS.items()])
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         formatter.write(_OVERVIEW)
 
-    def shell_complete(
-        self, ctx: click.Context, incomplete: str
-    ) -> list[click.shell_completion.CompletionItem]:
-        item = click.shell_completion.CompletionItem
-        return [item(name, help=VERBS[name]) for name in VERBS if name.startswith(incomplete)]
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        return [
+            CompletionItem(name, help=entry.description)
+            for name, entry in VERBS.items()
+            if name.startswith(incomplete)
+        ]
 
 
-def _version(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+def _print_version(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    """Print the versions, and end."""
     if not value or ctx.resilient_parsing:
         return
     import platform
@@ -95,8 +96,8 @@ def _version(ctx: click.Context, parameter: click.Parameter, value: bool) -> Non
     ctx.exit()
 
 
-def _completion(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
-    """Print the shell code that turns completion of this command on or off."""
+def _print_completion(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    """Print the shell code that turns completion of this command on or off, and end."""
     if value is None or ctx.resilient_parsing:
         return
     action, _, shell = value.partition("=")
@@ -130,19 +131,21 @@ add_completion_class(_Bash)
     options_metavar="",
 )
 @click.option(
-    *("--version", "-V"),
+    "--version",
+    "-V",
     is_flag=True,
     is_eager=True,
     expose_value=False,
-    callback=_version,
+    callback=_print_version,
     help="Versions of embodichain, Python and MuJoCo.",
 )
 @click.option(
-    *("-sc", "--shell-completion"),
+    "-sc",
+    "--shell-completion",
     metavar="install=SHELL",
     is_eager=True,
     expose_value=False,
-    callback=_completion,
+    callback=_print_completion,
     help="Completion for bash, zsh or fish.",
 )
 def _cli() -> None:
@@ -158,14 +161,16 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         0 ok, 1 the run failed, 2 the input is wrong, 130 interrupted.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    arguments = sys.argv[1:] if argv is None else list(argv)
     with degrading_text():
         if _COMPLETE in os.environ:
             return shell_complete(_cli, {}, "embodichain", _COMPLETE, os.environ[_COMPLETE])
         try:
             return call(arguments)
         except SystemExit as stop:  # raised by Hydra
-            return stop.code if isinstance(stop.code, int) else process.OK
+            if isinstance(stop.code, int):
+                return stop.code
+            return process.OK
         except BrokenPipeError:  # the pipe's reader closed it; redirection as in Python's manual
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return process.FAILED
@@ -183,14 +188,16 @@ def call(arguments: list[str]) -> int:
         The exit code.
     """
     first = arguments[0] if arguments else "help"
-    _check_verb_first(first, arguments)
-    words = ["--help"] if first == "help" else list(arguments)
+    _check_first_word(first, arguments)
+    words = list(arguments)
+    if first == "help":
+        words = ["--help"]
     line = ["embodichain", *arguments]
     try:
         with (
             process.signals_raise(),
             process.own_modules(),
-            process.starting() if first in _QUICK_START else nullcontext(),
+            process.starting() if first in _STARTING_VERBS else nullcontext(),
             _cli.make_context("embodichain", words, obj=line) as context,
         ):
             code: int | None = _cli.invoke(context)
@@ -206,11 +213,15 @@ def call(arguments: list[str]) -> int:
         raise ConfigError(_option_message(error, arguments)) from error
     except click.UsageError as error:
         message = f"{error.format_message()}{_keys_hint(error, arguments)}"
-        raise ConfigError(f"{message}\nTry '{_program(error)} --help'.") from error
+        raise ConfigError(f"{message}\n{_help_hint(error)}") from error
 
 
-def _check_verb_first(first: str, arguments: list[str]) -> None:
-    """Refuse a command line that begins with a key, with or without dashes."""
+def _check_first_word(first: str, arguments: list[str]) -> None:
+    """Refuse a command line that begins with a key, with or without dashes.
+
+    Raises:
+        ConfigError: It does; the message begins with a verb.
+    """
     key, _, value = first.removeprefix("--").replace("-", "_").partition("=")
     if first.startswith("--") and key in ROOT_KEYS:
         if not value and len(arguments) > 1 and "=" not in arguments[1]:
@@ -221,15 +232,19 @@ def _check_verb_first(first: str, arguments: list[str]) -> None:
         raise ConfigError(f"a verb comes first: embodichain run {' '.join(arguments)}")
 
 
-def _program(error: click.UsageError) -> str:
-    """The command that refused its arguments: ``embodichain run``."""
-    return error.ctx.command_path if error.ctx is not None else "embodichain"
+def _help_hint(error: click.UsageError) -> str:
+    """A sentence that names the help of the command which refused its arguments."""
+    command = "embodichain"
+    if error.ctx is not None:
+        command = error.ctx.command_path
+    return f"Try '{command} --help'."
 
 
 def _verb_of(error: click.UsageError) -> Verb | None:
     """The verb that refused its arguments; None if it was the command itself."""
-    command = error.ctx.command if error.ctx is not None else None
-    return command if isinstance(command, Verb) else None
+    if error.ctx is None or not isinstance(error.ctx.command, Verb):
+        return None
+    return error.ctx.command
 
 
 def _task_hint(name: str) -> str:
@@ -252,7 +267,7 @@ def _keys_hint(error: click.UsageError, arguments: list[str]) -> str:
 
 def _option_message(error: click.NoSuchOption, arguments: list[str]) -> str:
     """The message about an unknown option; for ``--num_envs 4`` it says to type ``num_envs=4``."""
-    message = f"{error.format_message()}\nTry '{_program(error)} --help'."
+    message = f"{error.format_message()}\n{_help_hint(error)}"
     command = _verb_of(error)
     if command is None or not command.keys:
         return message
@@ -262,20 +277,24 @@ def _option_message(error: click.NoSuchOption, arguments: list[str]) -> str:
     key = name.replace("-", "_")
     if key not in ROOT_KEYS and "." not in key:
         return message
-    value = _value_of_option(error.option_name, arguments) or _example(key)
+    value = _value_of_option(error.option_name, arguments) or _example_value(key)
     return f"there is no option --{name}: write {key}={value}, without dashes"
 
 
 def _value_of_option(option: str, arguments: list[str]) -> str:
     """The value of ``--option=value`` or ``--option value``; empty if none was typed."""
-    words = iter(arguments)
-    value = next(word.partition("=")[2] for word in words if word.partition("=")[0] == option)
-    following = next(words, "-")
-    if not value and "=" not in following and not following.startswith("-"):
-        value = following
-    return value
+    names = [word.partition("=")[0] for word in arguments]
+    index = names.index(option)
+    value = arguments[index].partition("=")[2]
+    if value or index + 1 == len(arguments):
+        return value
+    following = arguments[index + 1]
+    is_value = "=" not in following and not following.startswith("-")
+    return following if is_value else ""
 
 
-def _example(key: str) -> str:
-    """A value to show for a key whose value was not typed: flags of other tools have none."""
-    return "NAME" if key in ("task", "policy", "device") else "VALUE"
+def _example_value(key: str) -> str:
+    """A placeholder for a key whose value was not typed: flags of other tools have none."""
+    if key in ("task", "policy", "device"):
+        return "NAME"
+    return "VALUE"

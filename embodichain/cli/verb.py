@@ -33,6 +33,7 @@ __all__ = [
     "JobOptions",
     "OverrideOptions",
     "Verb",
+    "VerbEntry",
     "command_line",
     "complete_last",
     "job_arguments",
@@ -41,32 +42,72 @@ __all__ = [
     "verb",
 ]
 
+
+@dataclass(frozen=True)
+class VerbEntry:
+    """A verb in the list of verbs, whose module is not imported for it.
+
+    Attributes:
+        folder: The folder of `embodichain.cli.verbs` with its module.
+        description: What the help says of it.
+    """
+
+    folder: str
+    description: str
+
+
 VERBS = {
-    "demo": "Show a robot that solves a task, in the browser or as a film.",
-    "run": "Run a task: simulate, show progress, write a log.",
-    "train": "Train a policy with Stable-Baselines3.",
-    "eval": "Play a policy for exactly N episodes; print results with confidence intervals.",
-    "collect": "Record episodes until enough of them succeeded; resumable.",
-    "augment": "Record episodes that repeat recorded ones in other starts of their task.",
-    "play": "Show a trained policy in a window.",
-    "compare": "Put trainings side by side: a table, and curves with intervals over seeds.",
-    "report": "Write one HTML page about a run: results, film, curves, config, how to repeat it.",
-    "export": "Write a log in another format, or a policy as one ONNX or TorchScript file.",
-    "replay": "Print what a log contains; with --verify simulate it again and compare every bit.",
-    "view": "Print how to open a log in Foxglove or Lichtblick; open it, or play it to them.",
-    "recover": "Write a clean log from a broken one, up to where it can be read.",
-    "diff": "Print the first step and field where two logs differ.",
-    "bench": "Measure control steps/s beside the bare batch of the same model.",
-    "list": "List tasks, robots, policies, terms, export formats, viewers, learners or steps.",
-    "show": "Show a task: resolved config, scene, spaces, terms; or one term.",
-    "render": "Write a picture of a task: one environment, or a grid of several.",
-    "validate": "Check a task, build it as `run` does, and print every mistake.",
-    "convert": "Write EmbodiChain's own config of a task as a task file.",
-    "run-env": "EmbodiChain's command: run --gym-config, with its flags.",
-    "new": "Write a new task and its test into your folder or package.",
-    "doctor": "Check this machine: versions, threads, rendering, disk, optional packages.",
+    "demo": VerbEntry("running", "Show a robot that solves a task, in the browser or as a film."),
+    "run": VerbEntry("running", "Run a task: simulate, show progress, write a log."),
+    "train": VerbEntry("learning", "Train a policy with Stable-Baselines3."),
+    "eval": VerbEntry(
+        "learning", "Play a policy for exactly N episodes; print results with confidence intervals."
+    ),
+    "collect": VerbEntry("learning", "Record episodes until enough of them succeeded; resumable."),
+    "augment": VerbEntry(
+        "learning", "Record episodes that repeat recorded ones in other starts of their task."
+    ),
+    "play": VerbEntry("running", "Show a trained policy in a window."),
+    "compare": VerbEntry(
+        "learning", "Put trainings side by side: a table, and curves with intervals over seeds."
+    ),
+    "report": VerbEntry(
+        "logs", "Write one HTML page about a run: results, film, curves, config, how to repeat it."
+    ),
+    "export": VerbEntry(
+        "logs", "Write a log in another format, or a policy as one ONNX or TorchScript file."
+    ),
+    "replay": VerbEntry(
+        "logs", "Print what a log contains; with --verify simulate it again and compare every bit."
+    ),
+    "view": VerbEntry(
+        "logs", "Print how to open a log in Foxglove or Lichtblick; open it, or play it to them."
+    ),
+    "recover": VerbEntry(
+        "logs", "Write a clean log from a broken one, up to where it can be read."
+    ),
+    "diff": VerbEntry("logs", "Print the first step and field where two logs differ."),
+    "bench": VerbEntry(
+        "running", "Measure control steps/s beside the bare batch of the same model."
+    ),
+    "list": VerbEntry(
+        "tasks", "List tasks, robots, policies, terms, export formats, viewers, learners or steps."
+    ),
+    "show": VerbEntry("tasks", "Show a task: resolved config, scene, spaces, terms; or one term."),
+    "render": VerbEntry(
+        "tasks", "Write a picture of a task: one environment, or a grid of several."
+    ),
+    "validate": VerbEntry(
+        "tasks", "Check a task, build it as `run` does, and print every mistake."
+    ),
+    "convert": VerbEntry("tasks", "Write EmbodiChain's own config of a task as a task file."),
+    "run-env": VerbEntry("running", "EmbodiChain's command: run --gym-config, with its flags."),
+    "new": VerbEntry("tasks", "Write a new task and its test into your folder or package."),
+    "doctor": VerbEntry(
+        "running", "Check this machine: versions, threads, rendering, disk, optional packages."
+    ),
 }
-"""Verb -> its description, in the order of `--help`."""
+"""The verbs, in the order of `--help`."""
 
 _KEYS = f"""Keys:
   {" ".join(EVERYDAY_KEYS)}
@@ -104,12 +145,16 @@ class Verb(click.Command):
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write keys, examples and exit codes, unwrapped."""
         width = max(len(arguments) for arguments, _ in self.examples)
-        lines = [f"  embodichain {a:<{width}}   {what}".rstrip() for a, what in self.examples]
         keys = _KEYS if self.keys else ""
-        formatter.write("\n".join([f"\n{keys}Examples:", *lines, f"\n{EXIT_CODES}"]))
+        lines = [f"\n{keys}Examples:"]
+        for arguments, description in self.examples:
+            lines.append(f"  embodichain {arguments:<{width}}   {description}".rstrip())
+        lines.append(f"\n{EXIT_CODES}")
+        formatter.write("\n".join(lines))
 
 
-def _search_first(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+def _use_config_dir(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    """Search a folder for YAML first, while the verb runs."""
     ctx.meta["config_dir"] = value
     if value is not None and not ctx.resilient_parsing:
         from embodichain.config.composition.hydra_loader import user_configs
@@ -121,7 +166,7 @@ _CONFIG_DIR = click.Option(
     ["--config-dir", "-cd"],
     metavar="DIR",
     expose_value=False,
-    callback=_search_first,
+    callback=_use_config_dir,
     help="Search this folder for YAML first.",
 )
 _QUIET = click.Option(["--quiet", "-q"], is_flag=True, help="No progress, no report.")
@@ -133,20 +178,22 @@ _OUTPUT = (
 )
 _JOB_OPTIONS = (
     click.option(
-        *("--gym-config",),
+        "--gym-config",
         metavar="FILE",
         help="EmbodiChain's own config of a task, instead of task=NAME.",
     ),
     click.option("--multirun", "-m", is_flag=True, help="One job for each value."),
     click.option(
-        *("--cfg", "-c"),
+        "--cfg",
+        "-c",
         type=click.Choice(("job", "hydra", "all")),
         help="Print the config instead of running.",
     ),
     click.option("--resolve", is_flag=True, help="With --cfg: resolve interpolations."),
     click.option("--package", "-p", metavar="KEY", help="With --cfg: only this part."),
     click.option(
-        *("--info", "-i"),
+        "--info",
+        "-i",
         type=click.Choice(("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")),
         is_flag=False,
         flag_value="all",
@@ -214,10 +261,10 @@ def verb(
 
     def make(function: Callable[[Options], int | None]) -> Verb:
         @functools.wraps(function)  # click keeps declared options in the function's attributes
-        def fill(**values: Any) -> int | None:
+        def call(**values: Any) -> int | None:
             return function(options(**values))
 
-        command = click.command(name, cls=Verb, help=VERBS[name])(fill)
+        command = click.command(name, cls=Verb, help=VERBS[name].description)(call)
         if config_dir:
             command.params.append(_CONFIG_DIR)
         if quiet:
@@ -256,9 +303,11 @@ def _complete(
     matching_names = [name for name in names if incomplete and name.startswith(incomplete)]
     if matching_names:
         return matching_names
-    before = [w for w in ctx.params.get("words") or () if "=" in w or w.startswith("~")]
+    words = ctx.params.get("words") or ()
+    earlier_overrides = [word for word in words if "=" in word or word.startswith("~")]
+    config_dir = ctx.meta.get("config_dir")
     with process.own_modules():
-        return complete_override(incomplete, before, config, ctx.meta.get("config_dir"))
+        return complete_override(incomplete, earlier_overrides, config, config_dir)
 
 
 def job_arguments(config: str) -> Decorator:
@@ -283,7 +332,9 @@ def log_argument(metavar: str = "FILE", name: str = "file") -> Decorator:
 
 def complete_last(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
     """Complete the word `last`, which means the newest run."""
-    return ["last"] if "last".startswith(incomplete) else []
+    if "last".startswith(incomplete):
+        return ["last"]
+    return []
 
 
 def command_line() -> list[str]:

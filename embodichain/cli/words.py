@@ -155,9 +155,9 @@ def log_of(name: str) -> Path:
     if path is None:
         raise ConfigError("no run in outputs has a log yet: embodichain run task=NAME")
     if name == "last":
-        from embodichain.cli.terminal.last import take_last
+        from embodichain.cli.terminal.last import announce_last
 
-        take_last(path)
+        announce_last(path)
     if not path.exists():
         raise ConfigError(f"{name} does not exist{perhaps_last(name)}")
     remove_abandoned(path if path.is_dir() else path.parent)

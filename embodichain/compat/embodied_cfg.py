@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from embodichain.compat.gym_config.conversion import convert
@@ -25,8 +25,11 @@ __all__ = ["EmbodiedEnvCfg"]
 
 _log = logging.getLogger(__name__)
 _LISTS = ("background", "rigid_object", "articulation")
+"""Fields with entities in EmbodiChain's form."""
 _MAPS = ("objects", "articulations", "lights")
-_OF_ENV = ("control_parts", "active_joint_ids", "filter_visual_rand", "filter_dataset_saving")
+"""Fields with entities in the form of `EnvCfg`."""
+_ENV_KEYS = ("control_parts", "active_joint_ids", "filter_visual_rand", "filter_dataset_saving")
+"""Fields that a gym config has in its section `env`."""
 _ALWAYS = ("shape_type", "func")
 """Fields that are written even if they have their default."""
 
@@ -84,35 +87,37 @@ class EmbodiedEnvCfg(EnvCfg):
         try:
             declared = checked_cfg(conversion)
         except ConfigError as error:
-            raise ConfigError(map(_here, error.problems)) from error
+            raise ConfigError(map(_without_env, error.problems)) from error
         for name in ("robot", "extensions", *FUNCTORS):
             setattr(self, name, getattr(declared, name))
         for name in _MAPS:
             setattr(self, name, {**getattr(declared, name), **getattr(self, name)})
-        self.sensors = {**{name_of(s): _sensor(s) for s in self.sensor}, **self.sensors}
+        sensors = {name_of(sensor): _convert_sensor(sensor) for sensor in self.sensor}
+        self.sensors = {**sensors, **self.sensors}
         for note in conversion.notes:
-            _log.warning("%s", _here(note))
+            _log.warning("%s", _without_env(note))
 
 
-def _sensor(cfg: Any) -> Any:
-    """A sensor as EmbodiChain has it: observed, and with its axes of cameras."""
+def _convert_sensor(cfg: Any) -> Any:
+    """Return a sensor as EmbodiChain has it: observed, and with its axes of cameras."""
     if not isinstance(cfg, CameraCfg):
         return cfg
-    attached = cfg.extrinsics.parent or cfg.of.uid
-    convention = cfg.convention or ("opengl" if attached else "ros")
+    convention = cfg.convention
+    if not convention:
+        is_attached = cfg.extrinsics.parent or cfg.of.uid
+        convention = "opengl" if is_attached else "ros"
     return dataclasses.replace(cfg, observe=True, convention=convention)
 
 
 def _gym_config(cfg: EmbodiedEnvCfg) -> dict[str, Any]:
     """The content of an equivalent gym config, with the values that differ from a default."""
-    env: dict[str, Any] = {key: getattr(cfg, key) for key in _OF_ENV if getattr(cfg, key)}
+    env: dict[str, Any] = {key: getattr(cfg, key) for key in _ENV_KEYS if getattr(cfg, key)}
     env["extensions"] = cfg.extensions or {}
     if cfg.dataset is not None:
         env["dataset"] = {"recorder": None}  # its content is not used
     for section, kind in FUNCTORS.items():
-        env[section] = {
-            name: _functor(functor, kind) for name, functor in _named(getattr(cfg, section))
-        }
+        functors = _functors_by_name(getattr(cfg, section))
+        env[section] = {name: _functor(functor, kind) for name, functor in functors.items()}
     config: dict[str, Any] = {key: _plain(getattr(cfg, key)) for key in _LISTS}
     if cfg.rigid_object_group:
         config["rigid_object_group"] = cfg.rigid_object_group
@@ -121,21 +126,23 @@ def _gym_config(cfg: EmbodiedEnvCfg) -> dict[str, Any]:
     return {**config, "light": _plain(cfg.light), "env": env}
 
 
-def _named(section: Any) -> Iterator[tuple[str, Any]]:
-    """The functors of a section by name: of a map, or the public attributes of an object."""
+def _functors_by_name(section: Any) -> dict[str, Any]:
+    """The functors of a section: of a map, or the public attributes of an object."""
     if section is None:
-        return
+        return {}
     if isinstance(section, Mapping):
         values: Mapping[str, Any] = section
     elif is_configclass(section):
-        values = {f.name: getattr(section, f.name) for f in dataclasses.fields(section)}
+        names = [field.name for field in dataclasses.fields(section)]
+        values = {name: getattr(section, name) for name in names}
     else:
-        names = [n for n in dir(section) if not n.startswith("_")]
-        values = {n: getattr(section, n) for n in names}
-    yield from ((str(name), value) for name, value in values.items() if value is not None)
+        names = [name for name in dir(section) if not name.startswith("_")]
+        values = {name: getattr(section, name) for name in names}
+    return {str(name): value for name, value in values.items() if value is not None}
 
 
 def _functor(functor: Any, kind: Kind) -> Any:
+    """A functor as a map, with the name of its term if it is one."""
     plain = _plain(functor)
     if not isinstance(functor, TermCfg):
         return plain
@@ -158,12 +165,13 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if isinstance(value, type) or not is_configclass(value):
         return value
-    base = next(c for c in type(value).__mro__ if c.__module__.startswith("embodichain."))
-    return {
-        f.name: _plain(getattr(value, f.name))
-        for f in dataclasses.fields(base)
-        if f.name in _ALWAYS or not _same(getattr(value, f.name), _default(f))
-    }
+    base = next(cls for cls in type(value).__mro__ if cls.__module__.startswith("embodichain."))
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(base):
+        field_value = getattr(value, field.name)
+        if field.name in _ALWAYS or not _is_equal(field_value, _default(field)):
+            values[field.name] = _plain(field_value)
+    return values
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
@@ -172,10 +180,10 @@ def _default(field: dataclasses.Field[Any]) -> Any:
     return field.default
 
 
-def _same(value: Any, default: Any) -> bool:
+def _is_equal(value: Any, default: Any) -> bool:
     """Whether two values are equal; False for arrays, whose comparison is not one bool.
 
-    A value that was given differs from a default of which this can be told.
+    A number that a user wrote differs from an equal default that is marked as a default.
     """
     if value is default:
         return True
@@ -184,5 +192,6 @@ def _same(value: Any, default: Any) -> bool:
     return not hasattr(value, "shape") and bool(_plain(value) == _plain(default))
 
 
-def _here(problem: Problem) -> Problem:
+def _without_env(problem: Problem) -> Problem:
+    """A problem whose path is that of the field: a gym config has it below `env`."""
     return Problem(problem.path.removeprefix("env."), problem.message, problem.hint)

@@ -54,11 +54,15 @@ def add_env_launcher_args_to_parser(parser: argparse.ArgumentParser) -> None:
     for name, (default, text) in _FLAGS.items():
         if default is False:
             add(f"--{name}", action="store_true", help=text)
-        else:
-            choices = RENDERERS if name == "renderer" else None
-            # Without a type a text stays what it is; `str` would make the default a given one.
-            kind: Any = next((kind for kind in (int, float) if isinstance(default, kind)), None)
-            add(f"--{name}", type=kind, default=default, choices=choices, help=text)
+            continue
+        choices = RENDERERS if name == "renderer" else None
+        # Texts have no type: `str` would make a plain text of a default that is marked as one.
+        value_type: Any = None
+        if isinstance(default, int):
+            value_type = int
+        elif isinstance(default, float):
+            value_type = float
+        add(f"--{name}", type=value_type, default=default, choices=choices, help=text)
     add("--gym_config", type=str, default="", help="EmbodiChain's config of a task: YAML or JSON")
     add("--action_config", type=str, default=None, help="a YAML or JSON file for the script")
     add("--preview", action="store_true", help=_UNUSED)
@@ -72,7 +76,7 @@ def build_env_cfg_from_args(
 ) -> tuple[EnvCfg, dict[str, Any], dict[str, Any]]:
     """Build an environment's config from the files and flags of a launcher.
 
-    A flag that was given overrides the file (in EmbodiChain defaults do too).
+    A flag that was typed overrides the file (in EmbodiChain defaults do too).
 
     Args:
         args: Arguments of `add_env_launcher_args_to_parser`; `gym_config` is EmbodiChain's config
@@ -91,14 +95,16 @@ def build_env_cfg_from_args(
     if gym_config_modifier is not None:
         config = gym_config_modifier(config) or config
     values = {key: getattr(args, key, default) for key, (default, _) in _FLAGS.items()}
-    flags = {key: value for key, value in values.items() if _was_given(value)}
+    flags = {key: value for key, value in values.items() if _was_typed(value)}
     if getattr(args, "filter_visual_rand", False):
         flags["env"] = {**(config.get("env") or {}), "filter_visual_rand": True}
     cfg = config_to_cfg({**config, **flags})
-    action = read_gym_config(args.action_config) if args.action_config else {}
-    return cfg, config, action
+    action_config: dict[str, Any] = {}
+    if args.action_config:
+        action_config = read_gym_config(args.action_config)
+    return cfg, config, action_config
 
 
-def _was_given(value: Any) -> bool:
-    """Whether a flag was given; a switch that is False was not."""
+def _was_typed(value: Any) -> bool:
+    """Whether a flag was typed; a switch that is False was not."""
     return value is not False and is_given(value)

@@ -92,20 +92,24 @@ REFUSALS: Final[Mapping[str, dict[str, str]]] = {
 """Class -> method -> why it raises NotImplementedError."""
 
 
-def _not_available(what: str, why: str) -> Callable[..., NoReturn]:
+def _make_refusing_method(name: str, why: str) -> Callable[..., NoReturn]:
     """Return a method that raises NotImplementedError."""
 
     def method(self: object, *args: Any, **kwargs: Any) -> NoReturn:
-        raise NotImplementedError(f"{type(self).__name__}.{what} is not available: {why}")
+        raise NotImplementedError(f"{type(self).__name__}.{name} is not available: {why}")
 
-    method.__name__ = what
+    method.__name__ = name
     method.__doc__ = f"Not available: {why}; raises NotImplementedError."
     return method
 
 
-def _answering(name: str, answer: Any, why: str) -> Callable[..., Any]:
+def _make_answering_method(name: str, answer: Any, why: str) -> Callable[..., Any]:
+    """Return a function that always has the same result."""
+
     def method(*args: Any, **kwargs: Any) -> Any:
-        return answer.copy() if isinstance(answer, (list, dict)) else answer
+        if isinstance(answer, (list, dict)):  # the caller may change it
+            return answer.copy()
+        return answer
 
     method.__name__ = name
     method.__doc__ = f"{answer!r}: {why}."
@@ -122,10 +126,10 @@ def members_of(name: str) -> dict[str, Any]:
         Name -> a method that raises the reason, or a static method with a constant result.
     """
     members: dict[str, Any] = {
-        method: _not_available(method, why) for method, why in REFUSALS.get(name, {}).items()
+        method: _make_refusing_method(method, why) for method, why in REFUSALS.get(name, {}).items()
     }
     for method, (answer, why) in ANSWERS.get(name, {}).items():
-        members[method] = staticmethod(_answering(method, answer, why))
+        members[method] = staticmethod(_make_answering_method(method, answer, why))
     return members
 
 
@@ -136,7 +140,8 @@ class _Unavailable:
         raise NotImplementedError(f"{type(self).__name__}: {self.__doc__}")
 
 
-def _refusing(name: str, why: str) -> type[_Unavailable]:
+def _make_refusing_class(name: str, why: str) -> type[_Unavailable]:
+    """Return a class that raises NotImplementedError when built."""
     return type(name, (_Unavailable,), {"__doc__": why, "__module__": __name__})
 
 
@@ -147,7 +152,8 @@ _WHY = {
     "RigidConstraint": _WELD,
     "Gizmo": _GIZMO,
 }
+_CONFIG_WHY = {f"{name}Cfg": why for name, why in _WHY.items()}
 CLASSES: Final[Mapping[str, type]] = {
-    name: _refusing(name, why) for entity, why in _WHY.items() for name in (entity, f"{entity}Cfg")
+    name: _make_refusing_class(name, why) for name, why in (_WHY | _CONFIG_WHY).items()
 }
 """Name of an object or of its config -> the class that raises when it is built."""

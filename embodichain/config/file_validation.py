@@ -13,7 +13,7 @@ from embodichain.config.composition.composed import Composed, compose
 from embodichain.config.composition.gym_config import load_gym_config, override_of
 from embodichain.config.composition.hydra_loader import explain_yaml
 from embodichain.config.composition.locate import ConfigFile, Locator, display_path
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.config.resolved import Checked, Resolved, check_config, compile_scene_of
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -23,7 +23,7 @@ _GROUPS = ("task", "scene", "sim", "record", "viewer", "algo", "experiment")
 _ANY_TASK = "task=random_reach"
 
 
-def validate_file(path: str | Path, verb: Verb = "run") -> list[Problem]:
+def validate_file(path: str | Path, verb: JobVerb = "run") -> list[Problem]:
     """Return every mistake of a file that can be found without building; empty if there is none.
 
     Args:
@@ -37,7 +37,7 @@ def validate_file(path: str | Path, verb: Verb = "run") -> list[Problem]:
     return []
 
 
-def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
+def resolve_file(path: str | Path, verb: JobVerb = "run") -> Resolved:
     """Check a whole file and fill in defaults and derived values; see `checked_file`.
 
     Raises:
@@ -46,7 +46,7 @@ def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
     return checked_file(path, verb).resolved()
 
 
-def checked_file(path: str | Path, verb: Verb = "run") -> Checked:
+def checked_file(path: str | Path, verb: JobVerb = "run") -> Checked:
     """Check a whole file.
 
     A file with a map ``task`` is a whole config, as in run folders; one with a map ``env`` is
@@ -97,7 +97,7 @@ def notes_on_file(path: str | Path) -> tuple[Problem, ...]:
     return ()
 
 
-def _composed_option(file: Path, verb: Verb) -> Composed:
+def _composed_option(file: Path, verb: JobVerb) -> Composed:
     """Compose a file as an option of the group that its folder names, or as a task."""
     group = file.parent.name
     verb = _verb_of(file, verb)
@@ -114,6 +114,6 @@ def _composed_option(file: Path, verb: Verb) -> Composed:
         return compose([f"task={file.stem}"], verb, folder)
 
 
-def _verb_of(file: Path, verb: Verb) -> Verb:
+def _verb_of(file: Path, verb: JobVerb) -> JobVerb:
     """``train`` for an algorithm, which only trainings have; else `verb`."""
     return "train" if file.parent.name == "algo" else verb

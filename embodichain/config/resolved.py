@@ -23,7 +23,7 @@ from embodichain.config.checks.viewer_access import access_of, take_token, witho
 from embodichain.config.composition.composed import Composed, compose
 from embodichain.config.composition.environment import notes_of_today, taken_today
 from embodichain.config.keys.check_types import check_types
-from embodichain.config.keys.schema import RootCfg, Verb
+from embodichain.config.keys.schema import JobVerb, RootCfg
 from embodichain.config.learning_scale import doubtful_scale, scale_learning
 from embodichain.config.run_folder import (
     CHECKPOINT,
@@ -62,7 +62,7 @@ __all__ = [
     "write_record",
 ]
 
-_DEFAULTS: dict[Verb, dict[str, Any]] = {
+_DEFAULTS: dict[JobVerb, dict[str, Any]] = {
     "run": {"num_envs": 1, "device": "cpu", "episodes": 1, "policy": "random"},
     "train": {"num_envs": 1, "device": "cpu"},
     "collect": {"num_envs": 64, "device": "cpu", "episodes": 100, "policy": "expert"},
@@ -244,7 +244,7 @@ class Checked:
     """
 
     check: Check
-    verb: Verb
+    verb: JobVerb
     task_name: str
     source: Callable[[str], str]
     overrides: tuple[str, ...] = ()
@@ -270,7 +270,7 @@ class Checked:
 
 def resolve(
     config: Composed | Sequence[str],
-    verb: Verb = "run",
+    verb: JobVerb = "run",
     config_dir: str | Path | None = None,
 ) -> Resolved:
     """Check a whole config and fill in defaults and derived values.
@@ -287,7 +287,7 @@ def resolve(
     return check_config(composed, verb).resolved()
 
 
-def check_config(composed: Composed, verb: Verb) -> Checked:
+def check_config(composed: Composed, verb: JobVerb) -> Checked:
     """Check a whole config.
 
     Args:
@@ -309,7 +309,7 @@ def check_config(composed: Composed, verb: Verb) -> Checked:
 def resolve_tree(
     tree: Mapping[str, Any],
     source: str | Callable[[str], str],
-    verb: Verb = "run",
+    verb: JobVerb = "run",
     *,
     task_name: str = "task",
     allow_import: bool = False,
@@ -334,7 +334,7 @@ def resolve_tree(
     return Checked(check, verb, task_name, located, notes=notes).resolved()
 
 
-def _fill_in(check: Check, verb: Verb, task_name: str, source: Callable[[str], str]) -> Resolved:
+def _fill_in(check: Check, verb: JobVerb, task_name: str, source: Callable[[str], str]) -> Resolved:
     """The checked config with defaults and derived values; raises if it has mistakes."""
     if check.problems:
         raise ConfigError(check.problems)
@@ -373,7 +373,7 @@ def _with_pretrained(resolved: Resolved) -> Resolved:
     return resolved.changed(policy={**policy, "func": file} if has_params else file)
 
 
-def _with_defaults(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
+def _with_defaults(tree: Mapping[str, Any], verb: JobVerb) -> dict[str, Any]:
     """A copy with defaults for null keys; a null seed is drawn, so that it can be recorded."""
     filled = copy.deepcopy(dict(tree))
     for key, default in _DEFAULTS[verb].items():

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from embodichain.cli import main
+from embodichain.cli.app import load_verb
 from embodichain.cli.verb import VERBS
 from embodichain.cli.verbs.running import run_env
 from embodichain.compat import unavailable
@@ -42,8 +43,7 @@ def _hints() -> Iterator[str]:
         REASONS,
         functors.LEFT_OUT,
         functors.PARAMS_LEFT_OUT,
-        # Hints of options, which the verb has no other list of.
-        run_env._NO_EFFECT,
+        {flag.name: flag.why_no_effect for flag in run_env.FLAGS},
         {
             name: getattr(vocabulary, name)
             for name in vars(vocabulary)
@@ -75,8 +75,10 @@ def test_there_are_hints() -> None:
 
 @pytest.mark.parametrize("hint", HINTS)
 def test_a_hint_names_what_exists(hint: str) -> None:
-    for verb in re.findall(r"`?embodichain ([a-z][a-z-]*)", hint):
+    for verb, rest in re.findall(r"embodichain ([a-z][a-z-]*)([^`;,]*)", hint):
         assert verb in VERBS
+        options = {option for parameter in load_verb(verb).params for option in parameter.opts}
+        assert set(re.findall(r"(?<!\S)--?[a-z][a-z-]*", rest)) <= options
     for name in re.findall(r"(?<!torch\.)\b[a-z]+_[a-z_]+\b", hint):
         assert name in NAMES
     for key in re.findall(r"\b([a-z][a-z_.]*)=", hint):

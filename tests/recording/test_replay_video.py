@@ -36,6 +36,7 @@ def test_a_film_of_a_cut_log_warns(record, tmp_path, capsys):
     [
         (["--size", "32x32"], "--size needs --video"),
         (["--speed", "2"], "--speed needs --video"),
+        (["--port", "0"], "--port needs --view"),
         (["--video", "a.mp4", "--verify"], "--verify and --video exclude each other"),
         (["--video", "a.mp4", "--size", "32"], "--size is WIDTHxHEIGHT"),
     ],

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.unread_keys import unread_keys
-from embodichain.cli.terminal.last import take_last, with_paths
-from embodichain.cli.terminal.process import Interrupted, StopFlag, started
+from embodichain.cli.terminal.last import announce_last, replace_last
+from embodichain.cli.terminal.process import Interrupted, StopFlag, end_startup
 from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
 from embodichain.cli.verb import command_line
 from embodichain.cli.words import split_overrides
@@ -34,7 +34,7 @@ from embodichain.utils.system.platforms import LIMITED
 if TYPE_CHECKING:
     from embodichain.cli.verb import JobOptions, OverrideOptions
     from embodichain.config.composition.composed import Composed
-    from embodichain.config.keys.schema import RootCfg, Verb
+    from embodichain.config.keys.schema import JobVerb, RootCfg
     from embodichain.config.resolved import Checked, Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.compiler.compile_scene import CompiledScene
@@ -46,15 +46,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FRESH",
-    "Body",
     "Job",
+    "Work",
     "check_extras",
     "check_job",
-    "ended_early",
+    "describe_early_end",
     "execute",
     "film_progress",
     "output_overrides",
-    "pinned",
+    "pin_last",
     "policy_name",
     "policy_of",
     "resolve_job",
@@ -93,7 +93,7 @@ class Job:
         compiled_scene: Its scene, for every environment of the job; None if a class adds to it.
         folder: The run folder, not shared with other runs.
         stop: Set by a signal; the job then ends after the current control step.
-        began: Set by `begin`.
+        began: Set by `begin`: all is built, and the folder stays.
     """
 
     resolved: Resolved
@@ -103,9 +103,9 @@ class Job:
     began: threading.Event = field(default_factory=threading.Event)
 
     def begin(self) -> None:
-        """Note that all is built: from now on the folder stays, whatever happens."""
+        """Declare that all is built: from now on the folder stays, whatever happens."""
         self.began.set()
-        started()
+        end_startup()
 
     @property
     def root(self) -> RootCfg:
@@ -147,20 +147,25 @@ class Job:
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         options["images"] = self.images
-        about: dict[str, Any] = {
+        metadata: dict[str, Any] = {
             "overrides": dump_yaml(list(self.resolved.overrides)),
             "options": RecordOptions(**options),
             "task": self.resolved.task_name,
             "policy": self.resolved.record({"policy": policy_name(self.root)})["policy"],
             "quota": quota,
         }
+        path = self.folder / name
         if self.root.sim.backend == "ray":
             from embodichain.cli.jobs.sharding import attach_logs
 
-            return attach_logs(self.resolved, env, self.folder / name, about)
-        config = dump_yaml(self.resolved.tree)
-        about["lists_counted"] = quota is None
-        recorder = McapRecorder(self.folder / name, env, config=config, **about)
+            return attach_logs(self.resolved, env, path, metadata)
+        recorder = McapRecorder(
+            path,
+            env,
+            config=dump_yaml(self.resolved.tree),
+            lists_counted=quota is None,
+            **metadata,
+        )
         env.add_observer(recorder)
         return recorder
 
@@ -212,10 +217,11 @@ class Job:
         )
         if shown is None:
             return None
-        how = f" ({shown.how})" if shown.how else ""
-        _log.info("viewer: %s%s", shown.address, how)  # a log has no token
-        if not self.quiet or shown.url != shown.address:  # a token not printed opens nothing
-            sys.stderr.write(f"viewer: {shown.url}{how}\n")
+        note = f" ({shown.how})" if shown.how else ""
+        _log.info("viewer: %s%s", shown.address, note)  # without the token, which is in the URL
+        # Who is not told the token cannot open the viewer: the URL is printed in any case.
+        if not self.quiet or shown.url != shown.address:
+            sys.stderr.write(f"viewer: {shown.url}{note}\n")
         warn_if_public(cfg.host, shown.url, controls=viewer.controls)
         return shown.page
 
@@ -237,7 +243,9 @@ class Job:
         from embodichain.config.keys.schema import VideoCfg
         from embodichain.recording.film.filming import film_log
 
-        cfg = self.root.video if isinstance(self.root.video, VideoCfg) else VideoCfg()
+        cfg = self.root.video
+        if not isinstance(cfg, VideoCfg):  # video=true
+            cfg = VideoCfg()
         out = self.folder / f"{VIDEO}.{cfg.format}"
         with ProgressDisplay("film", None, "pictures", quiet=self.quiet) as display:
             filmed = film_log(
@@ -252,22 +260,24 @@ class Job:
         if filmed.whole:
             _log.info("%s: %d pictures", out, filmed.pictures)
         else:
-            _log.warning("%s", ended_early(self.stop, filmed, out))
-        return {"video": str(out)} if filmed.pictures else {}
+            _log.warning("%s", describe_early_end(self.stop, filmed, out))
+        if not filmed.pictures:
+            return {}
+        return {"video": str(out)}
 
 
-Body = Callable[[Job], float | None]
+Work = Callable[[Job], float | None]
 """The work of a job; returns the objective for a sweeper, or None."""
 
 
-def start(verb: Verb, body: Body, options: JobOptions) -> None:
+def start(verb: JobVerb, work: Work, options: JobOptions) -> None:
     """Run one job, or pass the command line to Hydra's `main`.
 
     The config of every job is checked before the first starts.
 
     Args:
         verb: The verb with the root config of its name.
-        body: The work of a job.
+        work: The work of a job.
         options: Options of the command line.
 
     Raises:
@@ -282,7 +292,7 @@ def start(verb: Verb, body: Body, options: JobOptions) -> None:
         from embodichain.config.composition.gym_config import override_of
 
         overrides.append(override_of(options.gym_config))
-    run_job = partial(execute, body=body, command=command_line(), verb=verb)
+    run_job = partial(execute, work=work, command=command_line(), verb=verb)
 
     def check(job_overrides: Sequence[str]) -> Resolved:
         """Check a job of Hydra's, which is resolved and compiled again where it runs."""
@@ -320,24 +330,27 @@ def output_overrides(options: OverrideOptions) -> list[str]:
     return overrides
 
 
-def check_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:
+def check_job(composed: Composed, verb: JobVerb, *, any_key: bool = False) -> Checked:
     """Check the whole config of a job, and that the verb reads each key of its command line.
 
     Args:
         composed: The config.
         verb: The verb of the job.
-        any_key: Whether keys that the verb does not read are taken, too.
+        any_key: Whether keys that the verb does not read are allowed, too.
     """
     from embodichain.config.resolved import check_config
 
-    config = check_config(composed, verb)
-    unread = [] if any_key else unread_keys(verb, composed.overrides)
-    paths = {problem.path for problem in unread}
-    others = [problem for problem in config.check.problems if problem.path not in paths]
-    return replace(config, check=replace(config.check, problems=[*unread, *others]))
+    checked = check_config(composed, verb)
+    if any_key:
+        return checked
+    unread = unread_keys(verb, composed.overrides)
+    unread_paths = {problem.path for problem in unread}
+    # That a key is not read is said in place of what else is wrong with it.
+    others = [problem for problem in checked.check.problems if problem.path not in unread_paths]
+    return replace(checked, check=replace(checked.check, problems=[*unread, *others]))
 
 
-def resolve_job(composed: Composed, verb: Verb) -> Resolved:
+def resolve_job(composed: Composed, verb: JobVerb) -> Resolved:
     """Check the whole config of a job; for a training, the algorithm's arguments too.
 
     Raises:
@@ -354,80 +367,93 @@ def resolve_job(composed: Composed, verb: Verb) -> Resolved:
 
 def execute(
     resolved: Resolved,
-    body: Body,
+    work: Work,
     command: Sequence[str],
     folder: Path | None = None,
     *,
-    verb: Verb = "run",
-    goes_on: bool = False,
-    take_back: Callable[[], None] | None = None,
+    verb: JobVerb = "run",
+    is_continued: bool = False,
+    undo_claim: Callable[[], None] | None = None,
 ) -> float | None:
     """Compile the scene of a job, and run it in its folder, with a log file.
 
     Args:
         resolved: The config.
-        body: The work of the job.
+        work: The work of the job.
         command: The command line, as typed.
-        folder: The run folder; None claims a new one, which a refused job does not leave.
+        folder: The run folder; None makes a new one, which is removed if the job is refused.
         verb: The verb of the job.
-        goes_on: Whether the folder belongs to this job already; its config stays.
-        take_back: Called where the job is refused before it began, with a folder that is given.
+        is_continued: Whether the folder belongs to this job already; its config stays.
+        undo_claim: Called if the job is refused before it began, where `folder` is given.
 
     Raises:
         ConfigError: The scene cannot be compiled, or the folder cannot be made.
         Interrupted: A signal came; the files are complete up to that step.
-        Exception: Any exception of `body`.
+        Exception: Any exception of `work`.
     """
     from embodichain.config.resolved import compile_scene_of
-    from embodichain.config.run_folder import abandon, claim, latest_of, missing_folders
 
-    resolved = pinned(resolved)
+    resolved = pin_last(resolved)
     compiled_scene = compile_scene_of(resolved)
     if resolved.tree["sim"]["engine"] == "warp":
         from embodichain.config.environments.factory import with_warp_values
 
         with resolved.locating():
             resolved = with_warp_values(resolved, verb, compiled_scene=compiled_scene)
-    root = resolved.root.output_dir
     if folder is None:
-        try:
-            latest_before = latest_of(root)
-            new_folders = missing_folders(root)
-        except OSError as error:  # a name that is too long
-            message = f"output_dir: cannot make a run folder in {root}: {error}"
-            raise ConfigError(message) from error
-        folder = claim(root, resolved.task_name)
-        take_back = partial(abandon, folder, root, latest_before, new_folders)
+        folder, undo_claim = _claim_folder(resolved)
     job = Job(resolved, compiled_scene, folder, stop=StopFlag())
     try:
-        return _execute(job, body, command, goes_on=goes_on)
+        return _execute(job, work, command, is_continued=is_continued)
     except (ConfigError, RenderError):  # the input is wrong: exit code 2, nothing was started
-        if not job.began.is_set() and take_back is not None:
-            take_back()
+        if not job.began.is_set() and undo_claim is not None:
+            undo_claim()
         raise
 
 
-def pinned(resolved: Resolved) -> Resolved:
-    """Return the config with paths instead of the word ``last``; says which training it is.
+def _claim_folder(resolved: Resolved) -> tuple[Path, Callable[[], None]]:
+    """Make a new run folder.
+
+    Returns:
+        The folder, and a function that removes it and what was made for it.
+
+    Raises:
+        ConfigError: It cannot be made.
+    """
+    from embodichain.config.run_folder import abandon, claim, latest_of, missing_folders
+
+    output_dir = resolved.root.output_dir
+    try:
+        latest_before = latest_of(output_dir)
+        new_folders = missing_folders(output_dir)
+    except OSError as error:  # a name that is too long
+        message = f"output_dir: cannot make a run folder in {output_dir}: {error}"
+        raise ConfigError(message) from error
+    folder = claim(output_dir, resolved.task_name)
+    return folder, partial(abandon, folder, output_dir, latest_before, new_folders)
+
+
+def pin_last(resolved: Resolved) -> Resolved:
+    """Return the config with paths instead of the word ``last``, and print which training it is.
 
     Raises:
         ConfigError: There is no such training any more.
     """
     pinned_config = resolved.pinned()
     if resolved.tree["policy"] == "last":
-        take_last(Path(str(pinned_config.tree["policy"])))
+        announce_last(Path(str(pinned_config.tree["policy"])))
     return pinned_config
 
 
-def _execute(job: Job, body: Body, command: Sequence[str], *, goes_on: bool) -> float | None:
+def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool) -> float | None:
     """Run a job in its folder; see `execute`."""
     from embodichain.config.checks.viewer_access import without_token
     from embodichain.config.resolved import write_record
 
     resolved = job.resolved
     folder = job.folder
-    command = without_token(with_paths(command))
-    if not goes_on:
+    command = without_token(replace_last(command))
+    if not is_continued:
         write_record(folder, resolved, command)
     with log_to(folder / LOG_FILE) as log, job.stop as stop:
         log.info("command: %s", shlex.join(command))
@@ -437,7 +463,7 @@ def _execute(job: Job, body: Body, command: Sequence[str], *, goes_on: bool) -> 
             sys.stderr.write(f"{resolved.task_name}: {folder}\n")
         with resolved.locating():
             check_extras(job.root)
-            value = body(job)
+            value = work(job)
         if stop.stopped is not None:
             message = f"interrupted ({stop.stopped}); {folder} is complete up to there"
             raise Interrupted.by(stop.stopped, message)
@@ -454,18 +480,18 @@ def check_extras(root: RootCfg) -> None:
             install.
     """
     problems: list[Problem] = []
-    drawing: RenderError | None = None
-    for need in _needs(root):
+    render_error: RenderError | None = None
+    for check in _checks_of_extras(root):
         try:
-            need()
+            check()
         except ConfigError as error:
             problems += error.problems
         except RenderError as error:
-            drawing = error
-    if drawing is not None:
+            render_error = error
+    if render_error is not None:
         if not problems:
-            raise drawing
-        problems.append(Problem("", str(drawing)))
+            raise render_error
+        problems.append(Problem("", str(render_error)))
     if problems:
         raise ConfigError(problems)
 
@@ -475,19 +501,24 @@ def _shows_pictures(viewer: str) -> bool:
     return viewer != NO_VIEWER and bool(VIEWERS[viewer].pictures)
 
 
-def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
-    """Checks of packages and programs that the plain package lacks; each raises what is missing."""
+def _checks_of_extras(root: RootCfg) -> Iterator[Callable[[], None]]:
+    """Checks of packages and programs that are not installed with this package alone.
+
+    Yields:
+        Functions that raise a `ConfigError` or a `RenderError` that says what is missing.
+    """
+    viewer = root.viewer.name
     has_log = root.record.format != "none"
     if sys.platform in LIMITED:
-        features = [f"viewer={root.viewer.name}"]
+        features = [f"viewer={viewer}"]
         if has_log:
             features.append("record=mcap")
         yield partial(platforms.need, *features)
-    if root.viewer.name in VIEWERS.entry_names():  # its module may not work
-        yield partial(VIEWERS.__getitem__, root.viewer.name)
+    if viewer in VIEWERS.entry_names():  # a package outside: its module may not work
+        yield partial(VIEWERS.__getitem__, viewer)
     images = root.record.images
-    if not has_log and not _shows_pictures(root.viewer.name):
-        images = None  # without a log or a viewer for them
+    if not has_log and not _shows_pictures(viewer):
+        images = None  # nothing takes them
     keys_that_draw = []
     if root.video:
         from embodichain.utils.system.video import need_encoder
@@ -507,9 +538,11 @@ def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
 
 
 def policy_name(root: RootCfg) -> str:
-    """Return the name, import path or path of the policy that a config chooses."""
-    chosen = root.policy or "random"
-    return chosen if isinstance(chosen, str) else chosen.func
+    """Return the name, import path or file of the policy that a config chooses."""
+    policy = root.policy or "random"
+    if isinstance(policy, str):
+        return policy
+    return policy.func
 
 
 def policy_of(
@@ -540,10 +573,10 @@ def policy_of(
             trust=root.trust,
         )
 
-    chosen = policy or root.policy or "random"
-    if not isinstance(chosen, str):
-        return resolve_policy({"func": chosen.func, "params": chosen.params}, load_file=load)
-    return resolve_policy(chosen, load_file=load)
+    choice = policy or root.policy or "random"
+    if isinstance(choice, str):
+        return resolve_policy(choice, load_file=load)
+    return resolve_policy({"func": choice.func, "params": choice.params}, load_file=load)
 
 
 def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
@@ -569,9 +602,10 @@ def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
     return show
 
 
-def ended_early(stop: StopFlag, filmed: Filmed, out: Path) -> str:
+def describe_early_end(stop: StopFlag, filmed: Filmed, out: Path) -> str:
     """Return a message about a video that a signal ended early."""
+    interruption = f"interrupted ({stop.stopped})"
     if not filmed.pictures:
-        return f"interrupted ({stop.stopped}); {out} was not begun"
-    till = f"{filmed.pictures} pictures, up to control step {filmed.step}"
-    return f"interrupted ({stop.stopped}); {out} is a whole film of the first {till}"
+        return f"{interruption}; {out} was not begun"
+    extent = f"{filmed.pictures} pictures, up to control step {filmed.step}"
+    return f"{interruption}; {out} is a complete film of the first {extent}"

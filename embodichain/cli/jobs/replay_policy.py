@@ -19,6 +19,7 @@ from embodichain.cli.jobs.trained import find_target
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.output import print_facts, print_json, print_table, say_warnings
 from embodichain.cli.terminal.reporting import ProgressDisplay
+from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Repetition", "rerun"]
 
-_LONGER = 10
-_NEVER = 2**31 - 1
+_MAX_LENGTH_RATIO = 10
+"""Without a time limit, episodes end after this multiple of the longest recorded one."""
 _MOST_ROWS = 20
 _ROUNDING = 1e-5
 """Largest difference of first states where the recorded ones were computed in float32."""
@@ -39,7 +40,18 @@ _STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat")
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """One episode as recorded, and with the policy."""
+    """One episode as recorded, and with the policy; its fields are what is printed.
+
+    Attributes:
+        env: The environment.
+        episode: Number of the episode in its environment.
+        recorded_steps: Control steps as recorded.
+        steps: Control steps with the policy.
+        recorded_return: Return as recorded.
+        total_return: Return with the policy.
+        difference: Return with the policy minus that as recorded.
+        cut: Whether the log ends before the episode: both cover its first steps only.
+    """
 
     env: int
     episode: int
@@ -48,7 +60,7 @@ class _Pair:
     recorded_return: float
     total_return: float
     difference: float
-    cut: bool  # the log ends before the episode: both cover its first steps only
+    cut: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +83,8 @@ class Repetition:
 
 
 @dataclass(frozen=True, slots=True)
-class _Starts:
-    """The first recorded states.
+class _FirstStates:
+    """The first recorded state of each environment.
 
     Attributes:
         columns: Component of the state -> (N, W) values.
@@ -82,7 +94,15 @@ class _Starts:
     columns: dict[str, NDArray[np.float64]]
     tolerance: float
 
-    def equal(self, env: BaseEnv) -> bool:
+    @classmethod
+    def of_log(cls, log: Log) -> _FirstStates:
+        """Read them from a log."""
+        names = [name for name in _STATE if name in log.columns]
+        columns = {name: log.read(name, start=0, stop=1)[name][0] for name in names}
+        tolerance = 0.0 if log.header.has_writes else _ROUNDING
+        return cls(columns, tolerance)
+
+    def match(self, env: BaseEnv) -> bool:
         """Whether an environment that was just reset has these states."""
         state = env.sim.engine.state
         return all(
@@ -116,35 +136,31 @@ def rerun(path: Path, repetition: Repetition, *, quiet: bool = False, json: bool
     with joining.open(path) as log:
         episodes = _chosen_episodes(log, repetition)
         resolved = config_of(log)
-        names = [name for name in _STATE if name in log.columns]
-        starts = _Starts(
-            columns={name: log.read(name, start=0, stop=1)[name][0] for name in names},
-            tolerance=0.0 if log.header.has_writes else _ROUNDING,
-        )
+        first_states = _FirstStates.of_log(log)
         warnings = list(log.warnings)
-    policy = target.policy
-    if policy == PRETRAINED:
-        policy = str(pretrained(resolved.task_name).file)
+    policy_name = target.policy
+    if policy_name == PRETRAINED:
+        policy_name = str(pretrained(resolved.task_name).file)
     env = make_env(resolved)
     try:
-        allowed = resolved.changed(allow_changed=repetition.allow_changed, trust=repetition.trust)
-        acting = policy_of(allowed.root, env, policy)
+        root = resolved.changed(allow_changed=repetition.allow_changed, trust=repetition.trust).root
+        policy = policy_of(root, env, policy_name)
         obs, _ = env.reset()
-        same = starts.equal(env)
+        same_start = first_states.match(env)
         with ProgressDisplay("replay", len(episodes), "episodes", quiet=quiet or json) as display:
-            pairs = _play(env, acting, obs, episodes, display)
+            pairs = _play(env, policy, obs, episodes=episodes, display=display)
     finally:
         env.close()
-    if not same:
+    if not same_start:
         warnings.append("the first states differ from the recorded ones: other code, or MuJoCo")
     say_warnings(path, warnings)
     facts = {
         "task": resolved.task_name,
         "policy": target.policy,
         "episodes": len(pairs),
-        "recorded_mean_return": float(np.mean([p.recorded_return for p in pairs])),
-        "mean_return": float(np.mean([p.total_return for p in pairs])),
-        "same_start": same,
+        "recorded_mean_return": float(np.mean([pair.recorded_return for pair in pairs])),
+        "mean_return": float(np.mean([pair.total_return for pair in pairs])),
+        "same_start": same_start,
     }
     if json:
         print_json({**facts, "pairs": [asdict(pair) for pair in pairs]})
@@ -157,14 +173,21 @@ def rerun(path: Path, repetition: Repetition, *, quiet: bool = False, json: bool
 
 
 def _chosen_episodes(log: Log, repetition: Repetition) -> dict[tuple[int, int], LogEpisode]:
-    """The log's episodes that are repeated, by environment and number."""
-    if any(e.episode for e in log.episodes if e.first_step == log.header.first_step):
-        raise ConfigError(f"{log.path} does not begin with first episodes: seeds lead elsewhere")
-    episodes = {
-        (e.env, e.episode): e
-        for e in log.episodes
-        if repetition.env in (None, e.env) and repetition.episode in (None, e.episode)
-    }
+    """The log's episodes that are repeated, by environment and number.
+
+    Raises:
+        ConfigError: There is none, or the log began in the middle of a run.
+    """
+    episodes: dict[tuple[int, int], LogEpisode] = {}
+    for episode in log.episodes:
+        if episode.first_step == log.header.first_step and episode.episode > 0:
+            # The draws of earlier episodes are not in the log.
+            message = "does not begin with first episodes: their seeds lead to other states"
+            raise ConfigError(f"{log.path} {message}")
+        is_env = repetition.env in (None, episode.env)
+        is_episode = repetition.episode in (None, episode.episode)
+        if is_env and is_episode:
+            episodes[episode.env, episode.episode] = episode
     if not episodes:
         raise ConfigError(f"{log.path} has no such episode: there is nothing to compare")
     return episodes
@@ -174,6 +197,7 @@ def _play(
     env: BaseEnv,
     policy: Policy,
     obs: Any,
+    *,
     episodes: dict[tuple[int, int], LogEpisode],
     display: ProgressDisplay,
 ) -> list[_Pair]:
@@ -190,10 +214,10 @@ def _play(
     steps = np.zeros(env.num_envs, np.int64)
     pairs: dict[tuple[int, int], _Pair] = {}
     # The log ends before these did: they are compared over their recorded steps.
-    cut = {key for key, e in episodes.items() if not (e.terminated or e.truncated)}
-    # Without a time limit in the task, episodes of another policy might never end.
-    longest = max(e.steps for e in episodes.values())
-    limit = _LONGER * longest if env.max_episode_steps == _NEVER else _NEVER
+    cut_episodes = [key for key, episode in episodes.items() if _is_cut(episode)]
+    limit = NO_LIMIT
+    if env.max_episode_steps == NO_LIMIT:  # episodes of another policy might never end
+        limit = _MAX_LENGTH_RATIO * max(episode.steps for episode in episodes.values())
     while len(pairs) < len(episodes):
         ids = env.episode_ids.numpy()
         obs, reward, terminated, truncated, _ = env.step(policy(obs, env))
@@ -202,11 +226,17 @@ def _play(
         if (steps >= limit).any():
             env.truncate(np.flatnonzero(steps >= limit))
         done = np.flatnonzero((terminated | truncated).numpy(force=True))
-        ended = [k for k in cut if k[1] == ids[k[0]] and steps[k[0]] == episodes[k].steps]
-        ended += [key for i in done.tolist() if (key := (i, int(ids[i]))) in episodes]
+        ended = [(i, int(ids[i])) for i in done.tolist()]
+        ended += [
+            (i, episode)
+            for i, episode in cut_episodes
+            if episode == ids[i] and steps[i] == episodes[i, episode].steps
+        ]
         for key in ended:
-            cut.discard(key)
-            pairs.setdefault(key, _pair(episodes[key], int(steps[key[0]]), returns[key[0]]))
+            # An episode is compared where it ends first: as recorded, or with the policy.
+            if key in episodes and key not in pairs:
+                i = key[0]
+                pairs[key] = _pair(episodes[key], int(steps[i]), float(returns[i]))
         if len(done):
             returns[done] = 0.0
             steps[done] = 0
@@ -216,14 +246,19 @@ def _play(
     return [pairs[key] for key in sorted(pairs)]
 
 
-def _pair(recorded: LogEpisode, steps: int, total: float) -> _Pair:
+def _is_cut(episode: LogEpisode) -> bool:
+    """Whether the log ends before an episode does."""
+    return not (episode.terminated or episode.truncated)
+
+
+def _pair(recorded: LogEpisode, steps: int, total_return: float) -> _Pair:
     return _Pair(
         env=recorded.env,
         episode=recorded.episode,
         recorded_steps=recorded.steps,
         steps=steps,
         recorded_return=recorded.total_reward,
-        total_return=float(total),
-        difference=float(total) - recorded.total_reward,
-        cut=not (recorded.terminated or recorded.truncated),
+        total_return=total_return,
+        difference=total_return - recorded.total_reward,
+        cut=_is_cut(recorded),
     )

@@ -1,4 +1,4 @@
-"""Keys that a verb does not read: given on its command line, they are refused."""
+"""Keys that a verb does not read: on its command line, they are refused."""
 
 from __future__ import annotations
 
@@ -10,67 +10,101 @@ from embodichain.config.composition.locate import COMMAND_LINE
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.keys.schema import Verb
+    from embodichain.config.keys.schema import JobVerb
 
 
 __all__ = ["refuse_unread", "unread_keys", "verb_of_keys"]
 
-_PLAYED = dict.fromkeys(
+_TRAINING = dict.fromkeys(
     ("algo", "total_timesteps", "checkpoint", "wandb", "dataset"),
     "`{verb}` does not read it: a policy is played, not trained",
 )
-_COLLECT = {"collect": "`{verb}` does not read it, `collect` does"}
-_RESUME = {"resume": "`{verb}` does not read it: `train` and `collect` go on where they stopped"}
+_COLLECTION = {"collect": "`{verb}` does not read it, `collect` does"}
+_RESUMPTION = {"resume": "`{verb}` does not read it: only `train` and `collect` resume a run"}
 _POLICY = {
     "policy": "`{verb}` does not read it: name the policy alone, `embodichain {verb} POLICY`"
 }
-_SCENE = {"scene_png": "`{verb}` does not read it: only `run` and `play` draw the start"}
-_ENDS = {
-    "eval": "it is of `train`, for the evaluation at its end; give {last}={value} alone",
+_START_PICTURE = {"scene_png": "`{verb}` does not read it: only `run` and `play` draw the start"}
+_EVALUATION = {
+    "eval": "`{verb}` does not read it: it belongs to `train`, for the evaluation at its end"
 }
-_NO_EVAL = {"eval": "`{verb}` does not read it: it is of `train`, for the evaluation at its end"}
-_NO_RUN = {
-    **dict.fromkeys(("episodes", "max_steps"), "`{verb}` does not read it: it plays no episodes"),
+_EVALUATION_OF_PLAYERS = {
+    "eval": "it belongs to `train`, for the evaluation at its end; give {last}={value} alone"
+}
+"""The same for verbs that play episodes themselves, where ``eval.episodes=9`` is ``episodes=9``."""
+_RUN = {
+    "episodes": "`{verb}` does not read it: it plays no episodes",
+    "max_steps": "`{verb}` does not read it: it plays no episodes",
     "record": "`{verb}` does not read it: it writes no log",
     "video": "`{verb}` does not read it: it makes no film",
-    **_SCENE,
+    **_START_PICTURE,
 }
 _UNREAD: Mapping[str, Mapping[str, str]] = {
     "run": {
-        **(_PLAYED | _COLLECT | _RESUME),
-        "eval": "`run` does not read it: it is of `train`; what a run plays is {last}={value}",
+        **_TRAINING,
+        **_COLLECTION,
+        **_RESUMPTION,
+        "eval": "`run` does not read it: it belongs to `train`; for a run, give {last}={value}"
+        " alone",
     },
     "eval": {
-        **(_PLAYED | _COLLECT | _RESUME | _POLICY | _SCENE | _ENDS),
+        **_TRAINING,
+        **_COLLECTION,
+        **_RESUMPTION,
+        **_POLICY,
+        **_START_PICTURE,
+        **_EVALUATION_OF_PLAYERS,
         "max_steps": "`eval` does not read it: an evaluation ends after `episodes`",
     },
-    "play": _PLAYED | _COLLECT | _RESUME | _POLICY | _ENDS,
+    "play": {
+        **_TRAINING,
+        **_COLLECTION,
+        **_RESUMPTION,
+        **_POLICY,
+        **_EVALUATION_OF_PLAYERS,
+    },
     "train": {
-        **(_COLLECT | _SCENE),
+        **_COLLECTION,
+        **_START_PICTURE,
         "max_steps": "`train` does not read it: it ends after total_timesteps",
-        "trust": "`train` does not read it: what it reads runs no code",
+        "trust": "`train` does not read it: the files that it reads run no code",
         "episodes": "`train` does not read it: it ends after total_timesteps; the evaluation at its"
         " end has eval.episodes={value}",
-        "policy": "`train` does not read it: it learns one, with algo=NAME; resume=RUN goes on with"
-        " a training",
+        "policy": "`train` does not read it: it learns one, with algo=NAME; resume=RUN continues a"
+        " training",
     },
-    "collect": _PLAYED | _SCENE | _NO_EVAL,
-    "demo": _PLAYED | _COLLECT | _RESUME | _NO_EVAL,
-    "demo --web": {
-        **dict.fromkeys(
-            ("record", "video", "scene_png", "max_steps"),
-            "a page does not read it, `embodichain demo --film` does",
-        ),
+    "collect": {
+        **_TRAINING,
+        **_START_PICTURE,
+        **_EVALUATION,
     },
+    "demo": {
+        **_TRAINING,
+        **_COLLECTION,
+        **_RESUMPTION,
+        **_EVALUATION,
+    },
+    "demo --web": dict.fromkeys(
+        ("record", "video", "scene_png", "max_steps"),
+        "a page does not read it, `embodichain demo --film` does",
+    ),
     "bench": {
-        **(_PLAYED | _COLLECT | _RESUME | _NO_EVAL | _NO_RUN),
+        **_TRAINING,
+        **_COLLECTION,
+        **_RESUMPTION,
+        **_EVALUATION,
+        **_RUN,
         **dict.fromkeys(
             ("episodes", "max_steps"),
             "`bench` does not read it: it measures --rounds of a third of a second",
         ),
     },
     "render": {
-        **(_PLAYED | _COLLECT | _RESUME | _NO_EVAL | _NO_RUN),
+        **_TRAINING,
+        **_COLLECTION,
+        **_RESUMPTION,
+        **_EVALUATION,
+        **_RUN,
         **dict.fromkeys(
             ("episodes", "max_steps"),
             "`render` does not read it: it draws after --step control steps",
@@ -78,8 +112,11 @@ _UNREAD: Mapping[str, Mapping[str, str]] = {
         "viewer": "`render` does not read it: it writes a picture",
     },
     "export policy": {
-        **dict.fromkeys(_PLAYED, "`{verb}` does not read it: the policy is trained already"),
-        **(_COLLECT | _RESUME | _NO_EVAL | _NO_RUN),
+        **dict.fromkeys(_TRAINING, "`{verb}` does not read it: the policy is trained already"),
+        **_COLLECTION,
+        **_RESUMPTION,
+        **_EVALUATION,
+        **_RUN,
         "policy": "`{verb}` does not read it: name the training alone, `embodichain {verb} RUN`",
         "viewer": "`{verb}` does not read it: it writes a file",
     },
@@ -87,7 +124,7 @@ _UNREAD: Mapping[str, Mapping[str, str]] = {
 """Verb -> root key, and why it has no effect."""
 
 
-def verb_of_keys(lines: Sequence[str]) -> Verb:
+def verb_of_keys(lines: Sequence[str]) -> JobVerb:
     """The verb whose config has the keys of `validate` or `show`, which take those of any job.
 
     Args:
@@ -96,8 +133,12 @@ def verb_of_keys(lines: Sequence[str]) -> Verb:
     Returns:
         ``train`` if an algorithm is chosen (``algo=sac``), which only its config can; else ``run``.
     """
-    chosen = any(line.lstrip("+~").partition("=")[0].partition("@")[0] == "algo" for line in lines)
-    return "train" if chosen else "run"
+    for line in lines:
+        key = line.lstrip("+~").partition("=")[0]
+        group = key.partition("@")[0]
+        if group == "algo":
+            return "train"
+    return "run"
 
 
 def unread_keys(verb: str, lines: Sequence[str]) -> list[Problem]:
@@ -107,13 +148,15 @@ def unread_keys(verb: str, lines: Sequence[str]) -> list[Problem]:
         verb: The verb.
         lines: Overrides as typed.
     """
-    unread, problems = _UNREAD.get(verb, {}), []
+    reasons = _UNREAD.get(verb, {})
+    problems: list[Problem] = []
     for line in lines:
         key, _, value = line.lstrip("+~").partition("=")
-        why = unread.get(re.split(r"[./@]", key)[0])
-        if why is not None:
+        root_key = re.split(r"[./@]", key)[0]
+        reason = reasons.get(root_key)
+        if reason is not None:
             last = key.rpartition(".")[2]
-            message = why.format(verb=verb, last=last, value=value)
+            message = reason.format(verb=verb, last=last, value=value)
             problems.append(Problem(key, message, source=COMMAND_LINE))
     return problems
 

@@ -58,7 +58,7 @@ _LONGEST_KEY = 1000
 """Characters of a key in a flow mapping; YAML 1.2, section 7.4.2, allows 1024 with its quotes."""
 _CLIP = "      clip: [-1, 1]\n"
 _TOOL_WORDS = ("tcp", "tool", "end_effector", "eef", "ee", "grasp", "grip", "pinch", "attachment")
-"""How sites and links are called at which tools are, or are fixed: the first is preferred."""
+"""Words in the names of sites and links at which tools are fixed: the first is preferred."""
 _TOOL_NAME = re.compile(
     rf"(?:^|[/_])({'|'.join(_TOOL_WORDS)})(?:per)?0?(?:_site|_frame|_point|_center|_link)*$",
     re.IGNORECASE,
@@ -102,7 +102,9 @@ class _NewRobot:
         """Return the template variables: the first block is for YAML, the second for Python."""
         halves = [self.radius * axis for axis in self.axes]
         scale = _map(self.scale) if isinstance(self.scale, Mapping) else _number(self.scale)
-        effort = ", max_effort: file" if self.has_effort_limits else ""
+        drives = "stiffness: 500, damping: 50"
+        if self.has_effort_limits:
+            drives += ", max_effort: file"
         standing = "gravcomp: 1                      # it does not sag"
         if self.is_floating:
             standing = "fix_base: false"
@@ -118,7 +120,7 @@ class _NewRobot:
             "position": _list((0.0, 0.0, self.height)),
             "home": _list(self.home),
             "standing": standing,
-            "drives": f"drive_pros: {{stiffness: 500, damping: 50{effort}}}",
+            "drives": f"drive_pros: {{{drives}}}",
             "tool": self.tool.name,
             "kind": self.tool.kind,
             "picked": tool_keys,
@@ -184,18 +186,23 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
             axes = reach.axes.astype(float)
 
     lift = _lift(lowest_point(parsed.model, data), is_floating)
+    height = lift
+    if is_floating:
+        height += float(parsed.placement.root_pos[2])
     x, y, z = tool.pos(data).tolist()
     effort_limits = parsed.qf_limits[active]
-    is_scale_common = len(set(scales.values())) == 1
+    scale: float | Mapping[str, float] = scales
+    if len(set(scales.values())) == 1:
+        scale = next(iter(scales.values()))
     robot = _NewRobot(
         uid=parsed.uid,
         fpath=fpath,
-        height=lift + float(parsed.placement.root_pos[2]) if is_floating else lift,
+        height=height,
         home=[round(float(data.joint(name).qpos[0]), 4) for name in parsed.joint_names],
         tool=tool,
         marker=[round(value, 2) + 0.0 for value in (x, y, z + lift)],
         radius=math.floor(100 * radius + 1e-6) / 100,
-        scale=next(iter(scales.values())) if is_scale_common else scales,
+        scale=scale,
         axes=axes.tolist(),
         is_floating=is_floating,
         has_effort_limits=bool(((effort_limits > 0) & (effort_limits < math.inf)).all()),
@@ -208,8 +215,9 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
         words["actions"] = _CONTROLS.format(uid=robot.uid)
         if not np.isfinite(parsed.ctrl_limits).all():
             words["actions"] += _CLIP
-    time_step = None if file.is_urdf else float(file.spec.option.timestep)
-    return words, time_step
+    if file.is_urdf:
+        return words, None
+    return words, float(file.spec.option.timestep)
 
 
 def _parse(fpath: str, is_floating: bool) -> ParsedArticulation:
@@ -260,7 +268,9 @@ def _lift(lowest: float, is_floating: bool) -> float:
 
     A floating base is lowered too, if it hangs in the air.
     """
-    height = -lowest if is_floating else max(0.0, -lowest)
+    height = -lowest
+    if not is_floating:
+        height = max(0.0, height)
     return math.ceil(100 * height - 1e-6) / 100
 
 
@@ -301,14 +311,14 @@ def _bend(
     data: mujoco.MjData,
     reach: ToolReach,
     joints: list[str],
-    enough: float,
+    sufficient_reach: float,
 ) -> None:
-    """Set `data` to a pose near the present one from which the tool reaches `enough`, m."""
+    """Set `data` to a pose near the present one from which the tool reaches far enough, in m."""
     import mujoco
     import numpy as np
 
     types = np.array([parsed.model.joint(name).type[0] for name in joints])
-    pose = bent_home(reach, types == mujoco.mjtJoint.mjJNT_HINGE, enough)
+    pose = bent_home(reach, types == mujoco.mjtJoint.mjJNT_HINGE, sufficient_reach)
     for name, value in zip(joints, pose, strict=True):
         data.joint(name).qpos = value
     for mimic in _mimics(parsed):
@@ -331,7 +341,9 @@ def _home(parsed: ParsedArticulation) -> list[float]:
             limits[mimic.leader] = _narrowed(limits[mimic.leader], limits[mimic.joint], mimic)
     home = [float(value) for value in parsed.init_qpos]
     for i, (low, high) in enumerate(limits):
-        margin = 0.05 * (high - low) if math.isfinite(high - low) else 0.0
+        margin = 0.0
+        if math.isfinite(high - low):
+            margin = 0.05 * (high - low)
         if low + margin <= home[i] <= high - margin:
             continue
         middle = 0.5 * (low + high)
@@ -351,7 +363,9 @@ def _narrowed(
     ends = sorted((end - mimic.offset) / mimic.multiplier for end in follower)
     low = max(ends[0], leader[0])
     high = min(ends[1], leader[1])
-    return (low, high) if low <= high else leader
+    if low > high:
+        return leader
+    return low, high
 
 
 class _ChainRank(NamedTuple):
@@ -386,9 +400,10 @@ def _chain_rank(model: mujoco.MjModel, body: int) -> _ChainRank:
 
 
 def _find_tool(parsed: ParsedArticulation) -> ToolFrame:
-    """A site or a link that is called as tools are, in the last half of a chain.
+    """Find a site or a link that has a tool's name, in the last half of a chain.
 
-    Else the link at the end of the longest chain of hinges, before sliding fingers.
+    If there is none, it is the link at the end of the longest chain of hinges, before sliding
+    fingers.
     """
     model = parsed.model
     link_ids = {name: model.body(name).id for name in parsed.link_names}

@@ -27,7 +27,7 @@ class TimeStep:
 
     Attributes:
         dt: Seconds per physics step.
-        why: One phrase for the user.
+        why: Why it was chosen, a phrase for the user.
         of_file: Whether it is the file's.
     """
 
@@ -60,9 +60,8 @@ def time_step(file_dt: float | None, text: Callable[[TimeStep], str]) -> TimeSte
         file_dt: The time step of an MJCF, s; a URDF has none.
         text: Makes the YAML of the task.
     """
-    if file_dt is None:
-        candidates = list(_LADDER)
-    else:
+    candidates = list(_LADDER)
+    if file_dt is not None:
         candidates = [file_dt, *(dt for dt in _LADDER if dt < file_dt)]
     unstable: list[str] = []
     for dt in candidates:
@@ -112,7 +111,8 @@ def _diverges(yaml: str) -> bool:
         env = embodichain.make(_TRIAL, num_envs=4, seed=0, config_dir=folder)
         try:
             obs, _ = env.reset(seed=0)
-            zero, random = resolve_policy("zero"), resolve_policy("random")
+            zero = resolve_policy("zero")
+            random = resolve_policy("random")
             for _ in range(_STEPS):
                 action = zero(obs, env)
                 action[2:] = random(obs, env)[2:]

@@ -14,36 +14,58 @@ from collections.abc import Callable, Iterator
 __all__ = ["global_draws", "registered_code"]
 
 _TORCH = {
-    *("rand", "rand_like", "randn", "randn_like", "randint", "randint_like", "randperm"),
-    *("normal", "bernoulli", "multinomial", "poisson"),
+    "rand",
+    "rand_like",
+    "randn",
+    "randn_like",
+    "randint",
+    "randint_like",
+    "randperm",
+    "normal",
+    "bernoulli",
+    "multinomial",
+    "poisson",
 }
+"""Functions of torch that draw."""
 _IN_PLACE = {
-    *("uniform_", "normal_", "random_", "exponential_", "bernoulli_", "cauchy_", "geometric_"),
+    "uniform_",
+    "normal_",
+    "random_",
+    "exponential_",
+    "bernoulli_",
+    "cauchy_",
+    "geometric_",
     "log_normal_",
 }
-_OWN_GENERATOR = {"default_rng", "Generator", "SeedSequence", "PCG64", "Philox", "Random"}
+"""Methods of tensors that draw."""
+_MODULES = ("np.random", "numpy.random", "random")
+"""Modules whose functions draw, but for `_GENERATORS`."""
+_GENERATORS = {"default_rng", "Generator", "SeedSequence", "PCG64", "Philox", "Random"}
+"""Functions and classes that make a generator."""
 
 
-def global_draws(thing: Callable[..., object]) -> list[str]:
+def global_draws(code: Callable[..., object]) -> list[str]:
     """Return ``NAME (line N of FILE)`` for each draw from a global generator.
 
     Args:
-        thing: A class or function; the bases of a class are not searched.
+        code: A class or function; the bases of a class are not searched.
 
     Returns:
         The draws; empty also if there is no source (built into the interpreter).
     """
     try:
-        lines, first = inspect.getsourcelines(thing)
-        file = inspect.getsourcefile(thing)
+        lines, first_line = inspect.getsourcelines(code)
+        file = inspect.getsourcefile(code)
     except (OSError, TypeError):
         return []
     tree = ast.parse(textwrap.dedent("".join(lines)))
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and _is_global(node)]
     calls.sort(key=lambda call: (call.lineno, call.col_offset))
-    return [
-        f"{ast.unparse(call.func)} (line {first + call.lineno - 1} of {file})" for call in calls
-    ]
+    draws: list[str] = []
+    for call in calls:
+        line = first_line + call.lineno - 1
+        draws.append(f"{ast.unparse(call.func)} (line {line} of {file})")
+    return draws
 
 
 def _is_global(call: ast.Call) -> bool:
@@ -54,7 +76,7 @@ def _is_global(call: ast.Call) -> bool:
     return (
         name in _IN_PLACE
         or (owner == "torch" and name in _TORCH)
-        or (owner in ("np.random", "numpy.random", "random") and name not in _OWN_GENERATOR)
+        or (owner in _MODULES and name not in _GENERATORS)
     )
 
 
@@ -66,13 +88,16 @@ def registered_code() -> Iterator[tuple[str, Callable[..., object]]]:
     from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 
     load_task_packages()
-    seen: set[object] = set(BaseEnv.__mro__)
-    found: list[tuple[str, Callable[..., object]]] = []
+    registered: list[tuple[str, Callable[..., object]]] = []
     for name, spec in REGISTERED_ENVS.items():
-        bases = inspect.getmro(spec.cls) if inspect.isclass(spec.cls) else (spec.cls,)
-        found += [(name, cls) for cls in bases]
-    found += [(f"{k} term {name}", t.func) for k in KINDS for name, t in TERMS[k].items()]
-    for name, thing in found:
-        if thing not in seen:
-            seen.add(thing)
-            yield name, thing
+        classes = [spec.cls]
+        if inspect.isclass(spec.cls):
+            classes = list(inspect.getmro(spec.cls))
+        registered += [(name, cls) for cls in classes]
+    for kind in KINDS:
+        registered += [(f"{kind} term {name}", term.func) for name, term in TERMS[kind].items()]
+    seen: set[object] = set(BaseEnv.__mro__)
+    for name, code in registered:
+        if code not in seen:
+            seen.add(code)
+            yield name, code

@@ -1,6 +1,6 @@
 """The page of `embodichain report`: what a run's folder contains, as one HTML file.
 
-Pictures, films and curves are inside of the page; it loads nothing. Sections without content are
+Pictures, films and curves are in the page itself; it loads nothing. Sections without content are
 left out.
 """
 
@@ -59,19 +59,21 @@ def page_of(folder: Path) -> str:
 
     if not (folder / CONFIG).is_file():
         raise ConfigError(f"{folder} is not a run's folder: it has no {CONFIG}")
-    for place in (folder, (folder / CHECKPOINT).parent):
-        remove_abandoned(place)
+    remove_abandoned(folder)
+    remove_abandoned((folder / CHECKPOINT).parent)
     config = _yaml(folder / CONFIG)
     summary = shown(_json(folder / SUMMARY))
     evaluation = shown(_json(folder / "eval.json"))
     outcome = summary or evaluation
     kind = _kind_of(folder, summary, evaluation)
-    status = str(outcome.get("status", "finished" if outcome else "unfinished"))
+    # The result of an evaluation has no status: it is written when it has finished.
+    status = str(outcome.get("status", "finished")) if outcome else "unfinished"
     task = str(outcome.get("task", folder.name.partition("_")[2]))
+    begun = datetime.fromtimestamp((folder / CONFIG).stat().st_mtime)
     log, log_notes = _log(folder / LOG)
     films, film_notes = _films(folder)
     curves, curve_notes = _curves(folder, log)
-    episodes = log.episodes if log is not None else []
+    episodes = [] if log is None else log.episodes
     context = {
         "title": f"{task}: {kind}",
         "task": task,
@@ -79,7 +81,7 @@ def page_of(folder: Path) -> str:
         "status": status,
         "bad": status in ("failed", "unfinished"),
         "folder": display_path(folder),
-        "begun": f"{datetime.fromtimestamp((folder / CONFIG).stat().st_mtime):%Y-%m-%d %H:%M:%S}",
+        "begun": f"{begun:%Y-%m-%d %H:%M:%S}",
         "description": shown(config.get("task", {}).get("description", "")),
         "notes": [*_notes(outcome, config), *log_notes, *film_notes, *curve_notes],
         "results": [(name, number(value)) for name, value in _results(summary, evaluation)],
@@ -106,7 +108,7 @@ def page_of(folder: Path) -> str:
 
 
 def _kind_of(folder: Path, summary: Mapping[str, Any], evaluation: Mapping[str, Any]) -> str:
-    """What was done in a folder, in a word."""
+    """The kind of a run, in a word."""
     from embodichain.recording.demos.collection import is_collection
 
     if is_collection(folder):
@@ -114,7 +116,9 @@ def _kind_of(folder: Path, summary: Mapping[str, Any], evaluation: Mapping[str, 
     # A training may be evaluated in its own folder, which is then still a training's.
     if "algo" in summary or (folder / "progress.csv").exists():
         return "training"
-    return "evaluation" if evaluation else "run"
+    if evaluation:
+        return "evaluation"
+    return "run"
 
 
 def _notes(outcome: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
@@ -125,7 +129,7 @@ def _notes(outcome: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     if "error" in outcome:
         notes.append(f"failed: {outcome['error']}")
     for path, text in recorded_texts(config):
-        notes.append(f"of the environment: {path}: {shown(text)}")
+        notes.append(f"from a variable of the environment: {path}: {shown(text)}")
     return notes
 
 
@@ -154,7 +158,7 @@ def _json(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ConfigError(f"{path} is damaged: {error}") from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{path} is damaged: it has no names")
+        raise ConfigError(f"{path} is damaged: it is not a map")
     return data
 
 
@@ -275,7 +279,9 @@ def _log_facts(log: LogSummary | None) -> Rows:
     if log.counted is not None:
         counting = "the first of each environment" if header.quota else "those that were needed"
         ended += f", of which {log.counted:,} count: {counting}"
-    verifiable = f"no: {header.unverifiable}" if header.unverifiable else "yes"
+    verifiable = "yes"
+    if header.unverifiable:
+        verifiable = f"no: {header.unverifiable}"
     return [
         ("file", f"{log.path.name}, {log.nbytes / 1e6:.2f} MB"),
         ("recorded with", header.recorded_with),
@@ -300,7 +306,7 @@ def _commands(
             with_seed = f"{typed} seed={config.get('seed')}"
             commands.append(("The same random numbers again", with_seed))
     if kind == "collection":
-        commands.append(("Go on", f"embodichain collect resume={run}"))
+        commands.append(("Continue the collection", f"embodichain collect resume={run}"))
     if kind == "training":
         commands += [
             ("Evaluate the policy", f"embodichain eval {run}"),
@@ -418,14 +424,15 @@ def _svg(panels: Sequence[Panel]) -> str:
             for name, curve in panel.curves.items():
                 line = "o" if len(curve.steps) == 1 else panel.line
                 axes.plot(curve.steps, curve.values, line, label=name)
-            last_step = max(float(curve.steps[-1]) for curve in panel.curves.values())
-            values = [value for curve in panel.curves.values() for value in curve.values.tolist()]
+            curves = panel.curves.values()
+            last_step = max(float(curve.steps[-1]) for curve in curves)
+            values = np.concatenate([curve.values for curve in curves]).tolist()
             set_axes(axes, last_step, values, share=panel.share)
             axes.set_title(panel.title)
             axes.set_xlabel(panel.x_label)
             if len(panel.curves) > 1:
                 axes.legend(fontsize="small")
-        for axes in places:  # what is left
+        for axes in places:  # the empty one
             axes.set_axis_off()
         figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
     text = stream.getvalue()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 import numpy as np
 
 from embodichain.cli.results.terms import SECTION_OF
+from embodichain.lab.gym.envs.cfg import NO_LIMIT
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
@@ -22,10 +24,8 @@ Rows = list[dict[str, Any]]
 _SECTIONS = tuple(SECTION_OF.values())
 _ALWAYS = ("term", "func", "shape", "weight", "kind", "reduce", "group", "params")
 """Columns of terms that are shown even if every value is the default."""
-_NO_EPISODE_LIMIT = 2**31 - 1
-"""Control steps of an episode that only a termination ends."""
 _NO_LIMIT = 1e9
-"""Values from which a limit of a drive is none, in any unit."""
+"""Limits of a drive from this value on are none, in any unit."""
 
 
 def task_tables(resolved: Resolved) -> dict[str, Any]:
@@ -99,17 +99,16 @@ def without_defaults(section: str, rows: Rows) -> Rows:
     from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 
     cfg_class = get_args(get_type_hints(EnvCfg)[section])[1]
-    defaults = vars(cfg_class()) if issubclass(cfg_class, TermCfg) else {}
-    names = dict.fromkeys(name for row in rows for name in row)
-    shown = [
-        name
-        for name in names
-        if name in _ALWAYS
-        or (section, name) == ("events", "mode")
-        or any(row.get(name) != defaults.get(name) for row in rows)
-    ]
-    shown.sort(key=lambda name: name == "params")  # the longest last
-    return [{name: row.get(name) for name in shown} for row in rows]
+    defaults: dict[str, Any] = {}
+    if issubclass(cfg_class, TermCfg):
+        defaults = vars(cfg_class())
+    columns: list[str] = []
+    for name in dict.fromkeys(itertools.chain.from_iterable(rows)):
+        is_always_shown = name in _ALWAYS or (section, name) == ("events", "mode")
+        if is_always_shown or any(row.get(name) != defaults.get(name) for row in rows):
+            columns.append(name)
+    columns.sort(key=lambda name: name == "params")  # the longest last
+    return [{name: row.get(name) for name in columns} for row in rows]
 
 
 def _steps(env: BaseEnv) -> Rows:
@@ -122,7 +121,7 @@ def _steps(env: BaseEnv) -> Rows:
 def _timing(env: BaseEnv) -> dict[str, Any]:
     limit = env.max_episode_steps
     episode = f"{limit} control steps = {limit * env.step_dt:g} s"
-    if limit >= _NO_EPISODE_LIMIT:
+    if limit >= NO_LIMIT:  # only a termination ends an episode
         episode = "no limit"
     return {
         "physics step": f"{env.physics_dt:g} s",
@@ -149,6 +148,7 @@ def _bodies(model: Any) -> Rows:
 
 
 def _mover(model: Any, body: int) -> str:
+    """What moves a body relative to its parent."""
     if model.body_mocapid[body] >= 0:
         return "code (mocap)"
     names = [model.joint(i).name for i in np.flatnonzero(model.jnt_bodyid == body)]
@@ -191,7 +191,10 @@ def _actuators(model: Any) -> Rows:
 
 
 def _range(limits: Any) -> Any:
-    return "no limit" if limits is None else [float(limit) for limit in limits]
+    """The lower and upper limit of a value."""
+    if limits is None:
+        return "no limit"
+    return [float(limit) for limit in limits]
 
 
 def _ranges(limits: Any) -> Any:
@@ -235,7 +238,9 @@ def _drives(env: BaseEnv) -> Iterator[dict[str, Any]]:
 
 
 def _limit(value: float) -> float | str:
-    return float(value) if value < _NO_LIMIT else "no limit"
+    if value < _NO_LIMIT:
+        return float(value)
+    return "no limit"
 
 
 def _surroundings(env: BaseEnv) -> Rows:
@@ -289,17 +294,19 @@ def _cameras(model: Any, views: Mapping[str, Any]) -> Rows:
 
 def _attached(env: BaseEnv) -> Rows:
     """Files fixed on links of robots, and the names of their joints."""
-    return [
-        {
-            "attached": f"{uid}/{name}",
-            "on": f"{uid}/{cfg.to}",
-            "file": cfg.fpath,
-            "joints": _names_under(name, parsed.joint_names),
-            "controls": _names_under(name, parsed.control_names),
-        }
-        for uid, parsed in _articulations(env).items()
-        for name, cfg in getattr(parsed.cfg, "attach", {}).items()
-    ]
+    rows = []
+    for uid, parsed in _articulations(env).items():
+        for name, cfg in getattr(parsed.cfg, "attach", {}).items():
+            rows.append(
+                {
+                    "attached": f"{uid}/{name}",
+                    "on": f"{uid}/{cfg.to}",
+                    "file": cfg.fpath,
+                    "joints": _names_under(name, parsed.joint_names),
+                    "controls": _names_under(name, parsed.control_names),
+                }
+            )
+    return rows
 
 
 def _names_under(prefix: str, names: Iterable[str]) -> str:
@@ -485,7 +492,9 @@ def _flow(value: Any) -> str:
         return "{" + ", ".join(f"{key}: {_flow(item)}" for key, item in value.items()) + "}"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_flow, value)) + "]"
-    return value if isinstance(value, str) else json.dumps(value, default=str)
+    if isinstance(value, str):
+        return value
+    return json.dumps(value, default=str)
 
 
 def _action_vector(env: BaseEnv) -> Rows:
@@ -519,23 +528,19 @@ def _observation_vector(env: BaseEnv) -> Rows:
             count = math.prod(spaces[entry].shape)
             columns = manager.column_table(entry, count)
             stop = start + count
+            places = [str(column) for column in range(start, stop)]
             if count > _MOST_COLUMNS and len(set(columns)) == 1:
-                label, scale = columns[0]
-                rows.append(_column_of(group, f"{start}:{stop}", entry, label, scale))
-            else:
-                rows += [
-                    _column_of(group, str(start + i), entry, label, scale)
-                    for i, (label, scale) in enumerate(columns)
-                ]
+                columns = columns[:1]
+                places = [f"{start}:{stop}"]
+            for place, (label, scale) in zip(places, columns, strict=True):
+                rows.append(
+                    {
+                        "group": group,
+                        "columns": place,
+                        "term": entry,
+                        "link or joint": label,
+                        "scale": scale,
+                    }
+                )
             start = stop
     return rows
-
-
-def _column_of(group: str, columns: str, entry: str, label: str, scale: float) -> dict[str, Any]:
-    return {
-        "group": group,
-        "columns": columns,
-        "term": entry,
-        "link or joint": label,
-        "scale": scale,
-    }

@@ -26,7 +26,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from embodichain.cli.sweeps.sweep_jobs import is_finished, objective_in
 from embodichain.config.keys.launchers import LAUNCHERS
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.utils.errors import EmbodichainError
 
 __all__ = ["Cluster", "ClusterJob", "ClusterLauncher", "JobError", "cluster"]
@@ -116,7 +116,7 @@ class ClusterLauncher(Launcher):
         self.config = config
 
     @property
-    def verb(self) -> Verb:
+    def verb(self) -> JobVerb:
         """The verb of the jobs."""
         return self.config.hydra.job.config_name
 
@@ -242,7 +242,7 @@ def _compose(
     return composed
 
 
-def _read_result(job: ClusterJob, verb: Verb, reason: str) -> JobReturn:
+def _read_result(job: ClusterJob, verb: JobVerb, reason: str) -> JobReturn:
     """Return the result of a job that has ended, which its folder has, for Hydra's sweepers."""
     result = JobReturn(list(job.overrides), OmegaConf.create())
     if is_finished(job.folder, verb):

@@ -24,7 +24,7 @@ from typing import Any, Literal, TextIO
 
 import yaml
 
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.config.rerun import read_config
 from embodichain.config.resolved import Resolved, dump_yaml
 from embodichain.config.run_folder import CONFIG, SUMMARY, adopt
@@ -68,13 +68,13 @@ class Entered:
 
     Attributes:
         resolved: Its config, changed so that it continues.
-        goes_on: Whether the folder has the job's config already.
+        is_continued: Whether the folder has the job's config already.
         objective: Of a finished job.
         finished: Whether nothing is left to do.
     """
 
     resolved: Resolved
-    goes_on: bool = False
+    is_continued: bool = False
     finished: bool = False
     objective: float | None = None
 
@@ -92,7 +92,7 @@ class JobRunsError(EmbodichainError):
 
 @contextmanager
 def enter(
-    folder: Path, resolved: Resolved, verb: Verb, *, seed_is_drawn: bool = False
+    folder: Path, resolved: Resolved, verb: JobVerb, *, seed_is_drawn: bool = False
 ) -> Iterator[Entered]:
     """Enter the folder of a job, which no other process can enter until the context is left.
 
@@ -107,7 +107,7 @@ def enter(
         JobRunsError: Another process runs the job.
     """
     resolved = resolved.pinned()
-    with _locked(folder):
+    with _lock(folder):
         state = state_in(folder, verb)
         if state == "new":
             if not (folder / CONFIG).is_file():
@@ -117,10 +117,10 @@ def enter(
         earlier = read_config(folder / CONFIG)
         if seed_is_drawn:
             resolved = resolved.changed(seed=earlier.get("seed"))
-        _check_same(folder, earlier, resolved)
+        _check_same_config(folder, earlier, resolved)
         if state == "finished":
             objective = objective_in(folder)
-            yield Entered(resolved, goes_on=True, finished=True, objective=objective)
+            yield Entered(resolved, is_continued=True, finished=True, objective=objective)
             return
         if state == "stopped":
             new_name = _unused_path(folder.with_name(f"{folder.name}.earlier"))
@@ -131,11 +131,11 @@ def enter(
             return
         if state == "resumable":
             resolved = resolved.changed(resume=str(folder.resolve()))
-        _set_aside(folder)
-        yield Entered(resolved, goes_on=True)
+        _move_evaluation_files(folder)
+        yield Entered(resolved, is_continued=True)
 
 
-def state_in(folder: Path, verb: Verb) -> State:
+def state_in(folder: Path, verb: JobVerb) -> State:
     """Return what a job's folder says about the job.
 
     Raises:
@@ -161,7 +161,7 @@ def state_in(folder: Path, verb: Verb) -> State:
     return "resumable"
 
 
-def is_finished(folder: Path, verb: Verb) -> bool:
+def is_finished(folder: Path, verb: JobVerb) -> bool:
     """Whether nothing is left to do for the job of a folder."""
     summary = read_summary(folder)
     status = summary.get("status")
@@ -219,7 +219,7 @@ def stop_mark(sweep: Path) -> Path:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
+def _lock(folder: Path) -> Iterator[None]:
     """Lock the folder's name; the lock ends with the process that has it (flock(2))."""
     path = folder.with_name(f".{folder.name}.lock")
     try:
@@ -259,7 +259,7 @@ def _note_owner(stream: TextIO) -> None:
         stream.flush()
 
 
-def _check_same(folder: Path, earlier: Mapping[str, Any], resolved: Resolved) -> None:
+def _check_same_config(folder: Path, earlier: Mapping[str, Any], resolved: Resolved) -> None:
     """Check that a folder's job is the one with this config."""
     now = yaml.safe_load(dump_yaml(resolved.tree))
     differences = list(_differences(_relevant_keys(earlier), _relevant_keys(now)))
@@ -287,7 +287,7 @@ def _differences(before: Any, now: Any, path: str = "") -> Iterator[str]:
         yield f"{path} is {before!r} there, {now!r} here"
 
 
-def _set_aside(folder: Path) -> None:
+def _move_evaluation_files(folder: Path) -> None:
     """Move files of an evaluation that did not end into a folder of their own."""
     evaluation_files = [*folder.glob("rollout.*"), *folder.glob("eval.json")]
     if not evaluation_files:

@@ -26,12 +26,12 @@ from embodichain.config.composition.hydra_loader import (
 )
 from embodichain.config.composition.override_text import readable
 from embodichain.config.keys.launchers import LAUNCHERS
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.config.resolved import Resolved
 from embodichain.lab.sim.engine.cpu.mujoco_process import all_cores
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Plan", "composed_for_hydra", "plan_sweep", "swept_keys", "with_sweepers_params"]
+__all__ = ["Plan", "compose_for_hydra", "plan_sweep", "swept_keys", "with_sweepers_params"]
 
 LAUNCHER = "hydra/launcher"
 _FOLDER = "hydra.sweep.dir"
@@ -68,7 +68,7 @@ class Plan:
         return self.launcher != _BASIC
 
 
-def with_sweepers_params(verb: Verb, overrides: Sequence[str]) -> list[str]:
+def with_sweepers_params(verb: JobVerb, overrides: Sequence[str]) -> list[str]:
     """Write `hydra.sweeper.params` of files as overrides, so that they are checked like these.
 
     Typed overrides of the same keys win.
@@ -81,7 +81,7 @@ def with_sweepers_params(verb: Verb, overrides: Sequence[str]) -> list[str]:
         ConfigError: The overrides of Hydra's own keys are wrong.
     """
     lines = list(overrides)
-    params = composed_for_hydra(verb, lines).hydra.sweeper.get("params") or {}
+    params = compose_for_hydra(verb, lines).hydra.sweeper.get("params") or {}
     if not params:
         return lines
     typed_keys = {line.lstrip("+~").partition("=")[0] for line in overrides}
@@ -93,8 +93,8 @@ def with_sweepers_params(verb: Verb, overrides: Sequence[str]) -> list[str]:
     return lines
 
 
-def composed_for_hydra(
-    verb: Verb, lines: Sequence[str], mode: RunMode = RunMode.MULTIRUN
+def compose_for_hydra(
+    verb: JobVerb, lines: Sequence[str], mode: RunMode = RunMode.MULTIRUN
 ) -> DictConfig:
     """Return a config with Hydra's own node, composed as Hydra's `main` does.
 
@@ -116,7 +116,7 @@ def composed_for_hydra(
             raise ConfigError(explain(error, loader)) from error
 
 
-def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
+def plan_sweep(verb: JobVerb, overrides: Sequence[str], first: Resolved) -> Plan:
     """Decide how a sweep is run.
 
     Args:
@@ -130,7 +130,7 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
     lines = list(overrides)
     with config_loader() as loader:
         installed = loader.get_group_options(LAUNCHER)
-    config = composed_for_hydra(verb, lines)
+    config = compose_for_hydra(verb, lines)
     cores = all_cores()
     jobs = _count_jobs(config, lines)
     most_at_once = min(jobs, _batch_size(config, jobs))
@@ -140,7 +140,7 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
     if can_be_parallel and not is_chosen and not _needs_machine(first):
         launcher = _JOBLIB
         lines.append(f"{LAUNCHER}={launcher}")
-        config = composed_for_hydra(verb, lines)
+        config = compose_for_hydra(verb, lines)
     note = ""
     if launcher != _BASIC:
         at_once, threads = _divide_cores(config, launcher, cores, most_at_once)
@@ -149,7 +149,7 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
             lines.append(f"sim.num_threads={threads}")
         else:
             threads = int(sim["num_threads"])
-        note = _note(jobs, at_once, threads, launcher)
+        note = _describe_jobs(jobs, at_once, threads, launcher)
     folder = folder_named(config, _FOLDER)
     if Path(folder).is_file():
         raise ConfigError([Problem(_FOLDER, f"{folder} is a file: name a folder")])
@@ -228,7 +228,7 @@ def _divide_cores(
     return at_once, max(1, cores // at_once)
 
 
-def _note(jobs: int, at_once: int, threads: int, launcher: str) -> str:
+def _describe_jobs(jobs: int, at_once: int, threads: int, launcher: str) -> str:
     """One line about the jobs, and the cores of each."""
     text = "1 job" if jobs == 1 else f"{jobs} jobs"
     if launcher not in LAUNCHERS.names():

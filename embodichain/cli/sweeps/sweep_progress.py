@@ -23,7 +23,7 @@ from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["JobRow", "job_label", "job_rows", "shown_progress", "table_of"]
+__all__ = ["JobRow", "job_label", "job_rows", "show_progress", "table_of"]
 
 PROGRESS = "progress.csv"
 _SHORTEST_PERIOD_S = 10.0
@@ -112,7 +112,7 @@ def table_of(rows: Sequence[JobRow], jobs: int) -> str:
 
 
 @contextmanager
-def shown_progress(folder: Path, keys: Sequence[str], jobs: int) -> Iterator[None]:
+def show_progress(folder: Path, keys: Sequence[str], jobs: int) -> Iterator[None]:
     """Write the table to stderr while the context lasts, whenever it has changed.
 
     Args:

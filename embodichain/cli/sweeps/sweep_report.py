@@ -107,11 +107,15 @@ def _groups(folder: Path) -> tuple[list[Group], list[str]]:
 def _search_result(folder: Path) -> dict[str, Any]:
     """The result of a search; empty for other sweeps."""
     path = folder / _RESULTS
+    if not path.is_file():
+        return {}
     try:
-        result = yaml.safe_load(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        result = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
-    return result if isinstance(result, dict) else {}
+    if not isinstance(result, dict):
+        return {}
+    return result
 
 
 def _best_point(folder: Path, groups: Sequence[Group]) -> list[str]:
@@ -168,16 +172,17 @@ def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
     except ConfigError as error:  # matplotlib is missing, or curves do not fit together
         curves = ""
         page_notes.append(str(error))
-    jobs = [
-        {
-            "job": run.folder.name,
-            "runs": label,
-            "seed": run.seed,
-            "objective": number(run.numbers.get("objective")),
-        }
-        for group, label in zip(groups, labels, strict=True)
-        for run in group.runs
-    ]
+    jobs = []
+    for group, label in zip(groups, labels, strict=True):
+        for run in group.runs:
+            jobs.append(
+                {
+                    "job": run.folder.name,
+                    "runs": label,
+                    "seed": run.seed,
+                    "objective": number(run.numbers.get("objective")),
+                }
+            )
     template = resources.files("embodichain.cli") / "templates" / "sweep.html.tmpl"
     page = Environment(autoescape=True).from_string(template.read_text(encoding="utf-8"))
     return page.render(

@@ -19,11 +19,11 @@ from hydra.core.plugins import Plugins
 from embodichain.cli.sweeps.launching import Cluster
 from embodichain.cli.sweeps.sweep_jobs import is_finished, process_log, stop_mark
 from embodichain.cli.sweeps.sweep_plan import Plan
-from embodichain.cli.sweeps.sweep_progress import shown_progress
+from embodichain.cli.sweeps.sweep_progress import show_progress
 from embodichain.cli.terminal.process import Interrupted, StopFlag
 from embodichain.config.composition.registered_options import hydras_name
 from embodichain.config.keys.launchers import LAUNCHERS
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.config.run_folder import CONFIG
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 from embodichain.utils.system.processes import end_with, own_process
@@ -42,7 +42,7 @@ class SweepError(EmbodichainError):
     """Jobs of a sweep failed."""
 
 
-def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) -> None:
+def run_sweep(plan: Plan, verb: JobVerb, job: Callable[[], Any], *, quiet: bool) -> None:
     """Run a sweep with Hydra, and compare its trainings.
 
     Args:
@@ -63,7 +63,7 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
     try:
         with ExitStack() as stack:
             if plan.is_parallel and not quiet:
-                stack.enter_context(shown_progress(plan.folder, plan.keys, plan.jobs))
+                stack.enter_context(show_progress(plan.folder, plan.keys, plan.jobs))
             if plan.launcher == "joblib":
                 stack.enter_context(_workers_of_joblib(stop, plan.folder))
             job()
@@ -95,12 +95,12 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
 @contextmanager
 def _workers_of_joblib(stop: StopFlag, folder: Path) -> Iterator[None]:
     """Inside the context, workers of joblib save at a signal, and none outlives this process."""
-    with _ending_with_this(), _stopping_workers(stop, folder):
+    with _end_workers_with_process(), _save_workers_at_signal(stop, folder):
         yield
 
 
 @contextmanager
-def _ending_with_this() -> Iterator[None]:
+def _end_workers_with_process() -> Iterator[None]:
     """Let the workers of joblib end with this process, also where it is killed.
 
     A worker waits for its next job and for the place of a result, in pipes that stay open as long
@@ -125,7 +125,7 @@ def _ending_with_this() -> Iterator[None]:
 
 
 @contextmanager
-def _stopping_workers(stop: StopFlag, folder: Path) -> Iterator[None]:
+def _save_workers_at_signal(stop: StopFlag, folder: Path) -> Iterator[None]:
     """Let the workers of joblib save at a signal: an exception here would kill them.
 
     Afterwards the workers end: joblib would give them to the next sweep of this process, with the
@@ -208,11 +208,11 @@ def _begun_jobs(sweep: Path) -> list[str]:
     return sorted(jobs, key=lambda name: (len(name), name))  # 10 after 9
 
 
-def _unfinished_jobs(sweep: Path, verb: Verb) -> list[str]:
+def _unfinished_jobs(sweep: Path, verb: JobVerb) -> list[str]:
     return [name for name in _begun_jobs(sweep) if not is_finished(sweep / name, verb)]
 
 
-def _count_finished(plan: Plan, verb: Verb) -> str:
+def _count_finished(plan: Plan, verb: JobVerb) -> str:
     """A sentence about finished and unfinished jobs, and how to go on."""
     unfinished = _unfinished_jobs(plan.folder, verb)
     finished = [name for name in _begun_jobs(plan.folder) if name not in unfinished]

@@ -29,7 +29,7 @@ from embodichain.cli.sweeps.hydra_folders import check_subfolders, folder_named,
 from embodichain.cli.sweeps.sweep_jobs import JobStoppedError, enter, stop_mark
 from embodichain.cli.sweeps.sweep_plan import (
     Plan,
-    composed_for_hydra,
+    compose_for_hydra,
     plan_sweep,
     with_sweepers_params,
 )
@@ -54,7 +54,7 @@ from embodichain.config.composition.hydra_loader import (
     user_configs,
 )
 from embodichain.config.composition.override_text import malformed
-from embodichain.config.keys.schema import Verb
+from embodichain.config.keys.schema import JobVerb
 from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt, check_unused, missing_folders, take_back
 from embodichain.utils.errors import ConfigError, Problem
@@ -77,13 +77,13 @@ class RunJob(Protocol):
         resolved: Resolved,
         *,
         folder: Path | None = None,
-        goes_on: bool = False,
-        take_back: Callable[[], None] | None = None,
+        is_continued: bool = False,
+        undo_claim: Callable[[], None] | None = None,
     ) -> float | None: ...
 
 
 def call_hydra(
-    verb: Verb,
+    verb: JobVerb,
     check: Callable[[Sequence[str]], Resolved],
     run_job: RunJob,
     options: JobOptions,
@@ -155,7 +155,7 @@ def call_hydra(
 
 
 def _check_sweep(
-    verb: Verb, check: Callable[[Sequence[str]], Resolved], overrides: Sequence[str]
+    verb: JobVerb, check: Callable[[Sequence[str]], Resolved], overrides: Sequence[str]
 ) -> Plan:
     """Check the jobs of a sweep as far as they are known, and plan it."""
     _parse(overrides)
@@ -163,13 +163,13 @@ def _check_sweep(
     overrides = with_sweepers_params(verb, overrides)
     jobs = list(points(overrides, _MOST_CHECKED_JOBS))
     checked_jobs = [check(job_overrides) for job_overrides in jobs]
-    if not numbers_jobs(composed_for_hydra(verb, jobs[0])):
-        check_subfolders([composed_for_hydra(verb, job_overrides) for job_overrides in jobs])
+    if not numbers_jobs(compose_for_hydra(verb, jobs[0])):
+        check_subfolders([compose_for_hydra(verb, job_overrides) for job_overrides in jobs])
     return plan_sweep(verb, towards_scores(overrides), checked_jobs[0])
 
 
 def _run_in_sweep(
-    run_job: RunJob, resolved: Resolved, verb: Verb, *, seed_is_drawn: bool
+    run_job: RunJob, resolved: Resolved, verb: JobVerb, *, seed_is_drawn: bool
 ) -> float | None:
     """Run a job of a sweep in its folder, or what is left of it; return its objective.
 
@@ -185,8 +185,10 @@ def _run_in_sweep(
     with enter(folder, resolved, verb, seed_is_drawn=seed_is_drawn) as entered:
         objective = entered.objective
         if not entered.finished:
-            with _stopping_alone():
-                objective = run_job(entered.resolved, folder=folder, goes_on=entered.goes_on)
+            with _replace_interrupt():
+                objective = run_job(
+                    entered.resolved, folder=folder, is_continued=entered.is_continued
+                )
         elif not resolved.root.quiet:
             sys.stderr.write(f"finished already: {folder}\n")
         _check_objective(objective, verb, resolved)
@@ -207,16 +209,16 @@ def _run_in_folder(
     names_before = {entry.name for entry in folder.iterdir()}
     removed = [folder, *new_folders] if new_folders else []
     undo = partial(take_back, folder, names_before, removed)
-    return run_job(resolved, folder=adopt(folder), take_back=undo)
+    return run_job(resolved, folder=adopt(folder), undo_claim=undo)
 
 
-def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> list[Path]:
+def _check_run_folder(verb: JobVerb, overrides: Sequence[str]) -> list[Path]:
     """Refuse a folder in `hydra.run.dir` that cannot be made; Hydra's own errors have no sentence.
 
     Returns:
         The folders that will be made, the innermost first.
     """
-    config = composed_for_hydra(verb, overrides, RunMode.RUN)
+    config = compose_for_hydra(verb, overrides, RunMode.RUN)
     is_typed = any(line.lstrip("+").startswith(f"{_RUN_FOLDER}=") for line in overrides)
     folder = folder_named(config, _RUN_FOLDER)
     if not is_typed and folder == ".":
@@ -299,7 +301,7 @@ def _first_value(override: Override) -> str:
     return f"{override.get_key_element()}={next(iter(override.sweep_string_iterator()))}"
 
 
-def _check_objective(objective: float | None, verb: Verb, resolved: Resolved) -> None:
+def _check_objective(objective: float | None, verb: JobVerb, resolved: Resolved) -> None:
     """Refuse a job without an objective in a search, which has nothing to compare then."""
     is_search = not _has_target(HydraConfig.get().sweeper, _BASIC_SWEEPER)
     if objective is not None or not is_search:
@@ -316,7 +318,7 @@ def _check_objective(objective: float | None, verb: Verb, resolved: Resolved) ->
 
 
 @contextmanager
-def _stopping_alone() -> Iterator[None]:
+def _replace_interrupt() -> Iterator[None]:
     """In a worker of joblib, replace an interrupt, for which joblib would kill other workers."""
     try:
         yield

@@ -10,14 +10,14 @@ import click
 
 from embodichain.config.composition.locate import display_path
 
-__all__ = ["take_last", "with_paths"]
+__all__ = ["announce_last", "replace_last"]
 
 _WORD = "last"
 _PATH_KEY = "embodichain.last"
 """Key of the path in the context of the command."""
 
 
-def take_last(path: Path) -> Path:
+def announce_last(path: Path) -> Path:
     """Say on stderr which run or file ``last`` is, unless the command is quiet.
 
     Args:
@@ -40,7 +40,7 @@ def take_last(path: Path) -> Path:
     return path
 
 
-def with_paths(command: Sequence[str]) -> list[str]:
+def replace_last(command: Sequence[str]) -> list[str]:
     """Return a command line with the path that was taken in place of ``last``."""
     context = click.get_current_context(silent=True)
     path = None if context is None else context.find_root().meta.get(_PATH_KEY)

@@ -48,7 +48,10 @@ def to_json(value: Mapping[str, Any], indent: int | None = None) -> str:
 
 
 def _plain(value: Any) -> Any:
-    return _finite(value.tolist()) if hasattr(value, "tolist") else str(value)
+    """What JSON has for an object that it does not know: a list for an array, else text."""
+    if hasattr(value, "tolist"):
+        return _finite(value.tolist())
+    return str(value)
 
 
 def _finite(value: Any) -> Any:
@@ -74,7 +77,9 @@ def _is_bounded() -> bool:
 
 def _width() -> int:
     """Width of a line on stdout; without a terminal a table may be wider."""
-    return shutil.get_terminal_size().columns if _is_bounded() else _PIPE_WIDTH
+    if _is_bounded():
+        return shutil.get_terminal_size().columns
+    return _PIPE_WIDTH
 
 
 def wrapped(text: str, first: str = "", rest: str = "  ") -> str:
@@ -112,11 +117,11 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
         title: Printed above the table.
         rows: Key -> cell; a missing key is printed as a dash.
     """
-    if rows:
-        names = list(rows[0])
-        _print(title, names, [[number(row.get(name)) for name in names] for row in rows])
-    else:
+    if not rows:
         sys.stdout.write(f"{title}: none\n\n")
+        return
+    names = list(rows[0])
+    _print(title, names, [[number(row.get(name)) for name in names] for row in rows])
 
 
 def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
@@ -152,7 +157,9 @@ def _print(
     for index, name in enumerate(names):
         cells = [name, *(row[index] for row in rows)]
         is_unfolded = all(_stays_on_one_line(cell) for cell in cells)
-        width = max(map(len, cells)) if is_unfolded else folded_width
+        width = folded_width
+        if is_unfolded:
+            width = max(map(len, cells))
         table.add_column(name, overflow="fold", no_wrap=is_unfolded, min_width=width)
         table_width += width + _COLUMN_GAP
     for row in rows:
@@ -181,7 +188,9 @@ def number(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:,.0f}" if 1e3 <= abs(value) < 1e12 else f"{value:.4g}"
+        if 1e3 <= abs(value) < 1e12:
+            return f"{value:,.0f}"
+        return f"{value:.4g}"
     if isinstance(value, (list, tuple)):
         return ", ".join(map(number, value))
     return str(value)

@@ -12,8 +12,22 @@ __all__ = ["degrading_text"]
 
 _HANDLER = "embodichain.plain"
 _PLAIN = {
-    **{"±": "+-", "×": "x", "…": "...", "–": "-", "—": "-", "→": "->", "≤": "<=", "≥": ">="},
-    **{"≈": "~", "°": " deg", "µ": "u", "μ": "u", "·": ".", "•": "*", "²": "^2", "³": "^3"},
+    "±": "+-",
+    "×": "x",
+    "…": "...",
+    "–": "-",
+    "—": "-",
+    "→": "->",
+    "≤": "<=",
+    "≥": ">=",
+    "≈": "~",
+    "°": " deg",
+    "µ": "u",
+    "μ": "u",
+    "·": ".",
+    "•": "*",
+    "²": "^2",
+    "³": "^3",
     **dict.fromkeys("─━╸╺═", "-"),
     **dict.fromkeys("│┃║", "|"),
     **dict.fromkeys("‘’", "'"),
@@ -29,7 +43,7 @@ def _replace(error: UnicodeError) -> tuple[str | bytes, int]:
     r"""Replace a character that an encoding lacks: by a plain one, or by ``\xNN``.
 
     Returns:
-        The replacement, and the place where encoding goes on.
+        The replacement, and the index from which encoding continues.
     """
     if not isinstance(error, UnicodeEncodeError):
         raise error
@@ -47,7 +61,7 @@ codecs.register_error(_HANDLER, _replace)
 
 @contextmanager
 def degrading_text() -> Iterator[None]:
-    """Within it, stdout and stderr take every text: what they cannot encode is written plainly."""
+    """Let stdout and stderr replace characters that they cannot encode by plain ones."""
     streams = [
         stream for stream in (sys.stdout, sys.stderr) if isinstance(stream, io.TextIOWrapper)
     ]

@@ -37,10 +37,10 @@ __all__ = [
     "check_mujoco_gl",
     "check_text",
     "interrupts_say",
+    "end_startup",
     "own_modules",
     "report",
     "signals_raise",
-    "started",
     "starting",
 ]
 
@@ -55,11 +55,19 @@ _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
 ]
 _FAULTS = {
-    *(errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ESTALE),
-    *(errno.ENOMEM, errno.EMFILE, errno.ENFILE),
+    errno.EIO,
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.ESTALE,
+    errno.ENOMEM,
+    errno.EMFILE,
+    errno.ENFILE,
 }
 """Errors of the operating system that are about the machine, not about what was typed."""
 _GL = "MUJOCO_GL"
+_REDELIVERY_S = 10.0
+"""Seconds after which a signal is delivered again; removing partial files takes less."""
 _TWICE = "interrupted twice: left without closing everything"
 _received: list[str] = []
 """Name of the signal for which `signals_raise` raised an exception, until its context is left.
@@ -92,14 +100,14 @@ def check_mujoco_gl() -> None:
     Raises:
         ConfigError: If there is no such library.
     """
-    named = os.environ.get(_GL)
-    if not named:
+    backend = os.environ.get(_GL)
+    if not backend:
         return
     try:
         import mujoco  # noqa: F401
     except (AttributeError, ImportError, OSError, RuntimeError) as error:
         message = (
-            f"MuJoCo cannot be imported with {named!r} ({error}); unset it, or use egl, "
+            f"MuJoCo cannot be imported with {backend!r} ({error}); unset it, or use egl, "
             "osmesa (`apt-get install libosmesa6`), glfw (needs a display) or disable"
         )
         raise ConfigError([Problem(_GL, message, source="environment variable")]) from error
@@ -126,15 +134,15 @@ def check_text(words: Iterable[str]) -> None:
 
 @contextmanager
 def starting() -> Iterator[None]:
-    """Disable the collection of cyclic garbage inside the context, until `started` is called."""
+    """Collect no cyclic garbage inside the context, until `end_startup` is called."""
     gc.disable()
     try:
         yield
     finally:
-        started()
+        end_startup()
 
 
-def started() -> None:
+def end_startup() -> None:
     """Enable collection again, except for existing objects, most of which are modules."""
     if not gc.isenabled():
         _freeze()
@@ -164,6 +172,8 @@ def signals_raise() -> Iterator[None]:
     main = threading.main_thread().ident
 
     def deliver(number: int, seconds: float) -> None:
+        """Send a signal again after a while."""
+
         def send() -> None:
             _received.clear()
             if hasattr(signal, "pthread_kill"):
@@ -177,15 +187,17 @@ def signals_raise() -> Iterator[None]:
         timer.start()
 
     def handle(number: int, frame: FrameType | None) -> None:
+        """Raise at the first signal, and at each Ctrl-C after it."""
         name = signal.Signals(number).name
         if not _received:
             _received.append(name)
-            deliver(number, 10.0)
+            deliver(number, _REDELIVERY_S)
             raise Interrupted.by(name, f"interrupted ({name})")
         if number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
 
     def deliver_again(ignored: sys.UnraisableHookArgs) -> None:
+        """Send a signal again whose exception Python ignores."""
         if not isinstance(ignored.exc_value, Interrupted):
             hook(ignored)
             return
@@ -318,7 +330,9 @@ def _exit_code(error: BaseException) -> int:
     if not isinstance(error, ConfigError):
         return FAILED
     is_one_fault = len(error.problems) < 2 and _is_fault(error)
-    return FAILED if is_one_fault else WRONG_INPUT
+    if is_one_fault:
+        return FAILED
+    return WRONG_INPUT
 
 
 def _message(error: BaseException, *, full: bool) -> str:
@@ -364,11 +378,14 @@ def _line(error: BaseException) -> str:
     """
     if isinstance(error, OSError) and error.errno is not None and error.strerror:
         files = [str(name) for name in (error.filename, error.filename2) if name is not None]
-        return f"{error.strerror}: {' -> '.join(files)}" if files else error.strerror
+        if not files:
+            return error.strerror
+        return f"{error.strerror}: {' -> '.join(files)}"
     texts = [str(error), *getattr(error, "__notes__", ())]
     text = " ".join(" ".join(texts).split())
     name = type(error).__name__
     if not text:
         return name
-    is_ours = type(error).__module__.startswith("embodichain.")
-    return text if is_ours else f"{name}: {text}"
+    if type(error).__module__.startswith("embodichain."):
+        return text
+    return f"{name}: {text}"

@@ -105,9 +105,9 @@ def convert(
             as in a task declared in Python.
     """
     draft = Draft(ours)
-    draft.carry(config, (), (), TOP)
-    _identity(draft, config.get("id"), registered)
-    _physics(draft, config)
+    draft.apply_rules(config, (), (), TOP)
+    _convert_id(draft, config.get("id"), registered)
+    _convert_physics(draft, config)
     robot = ""
     if config.get("robot") is not None:
         robot = scene.convert_robot(draft, config["robot"])
@@ -117,35 +117,37 @@ def convert(
     scene.convert_lights(draft, config.get("light"))
     scene.convert_sensors(draft, config.get("sensor"), config.get("enable_sensor") is not False)
     env = config.get("env")
-    if env is not None and draft.carry(env, ("env",), (), ENV):
-        _control_period(draft, env)
+    if env is not None and draft.apply_rules(env, ("env",), (), ENV):
+        _convert_control_period(draft, env)
         convert_actions(draft, env, robot)
         for section in ("events", "observations", "rewards"):
             convert_terms(draft, section, env, robot)
         if config.get("id") in CLASSES and "id" not in draft.task:
             _note_lost_success(draft, config["id"])
     _suggest(draft, config)
-    _refuse_nothing(draft, config)
-    task = {key: draft.task[key] for key in _ORDER if key in draft.task}
+    _refuse_empty_task(draft, config)
     name = config.get("id")
+    if name is None or name in _GENERIC:
+        name = ""
     return Conversion(
-        name="" if name in (None, *_GENERIC) else str(name),
-        task=task,
+        name=str(name),
+        task={key: draft.task[key] for key in _ORDER if key in draft.task},
         origins=draft.origins,
         notes=tuple(draft.notes),
         problems=tuple(draft.problems),
     )
 
 
-def _identity(draft: Draft, name: Any, registered: Collection[str]) -> None:
+def _convert_id(draft: Draft, name: Any, registered: Collection[str]) -> None:
+    """Convert the id: a class that is registered here, or one that is left out with a note."""
     where = ("id",)
     if name is None:
         return
     if not isinstance(name, str):
         draft.refuse(where, f"expected text, got {name!r}")
         return
-    words = "A task" if name in _GENERIC else f"The task {name}"
-    draft.put(("description",), f"{words}, converted from EmbodiChain's own form.", where)
+    subject = "A task" if name in _GENERIC else f"The task {name}"
+    draft.put(("description",), f"{subject}, converted from EmbodiChain's own form.", where)
     if name in CLASSES and name not in registered:
         message = (
             f"{name} is a Python class of EmbodiChain's: what it computes itself (success, "
@@ -167,32 +169,35 @@ def _note_lost_success(draft: Draft, name: str) -> None:
             draft.note(("env", "rewards", key), message)
 
 
-def _refuse_nothing(draft: Draft, config: Mapping[str, Any]) -> None:
+def _refuse_empty_task(draft: Draft, config: Mapping[str, Any]) -> None:
     """Refuse a task without robot, object and articulation: it would simulate nothing."""
     for key in _COMPONENTS:
         if config.get(key) is not None:
             message = "components of release 0.3 are not read: write their sections into this file"
             draft.refuse((key,), message)
-    built_in_python = "id" in draft.task
-    if not (draft.problems or built_in_python or any(map(draft.task.get, _SIMULATED))):
-        message = "nothing is left to simulate: the file gives no robot, object or articulation"
+    if draft.problems or "id" in draft.task:  # a registered class may add entities
+        return
+    if not any(draft.task.get(section) for section in _SIMULATED):
+        message = "nothing is left to simulate: the file has no robot, object or articulation"
         draft.refuse((), message)
 
 
-def _physics(draft: Draft, config: Mapping[str, Any]) -> None:
+def _convert_physics(draft: Draft, config: Mapping[str, Any]) -> None:
+    """Convert `physics_config` and `physics_dt`."""
     if config.get("physics_config") is not None:
-        draft.carry(config["physics_config"], ("physics_config",), ("physics",), PHYSICS)
+        draft.apply_rules(config["physics_config"], ("physics_config",), ("physics",), PHYSICS)
     if config.get("physics_dt") is not None:
         draft.put(("physics", "physics_dt"), config["physics_dt"], ("physics_dt",))
 
 
-def _control_period(draft: Draft, env: Mapping[str, Any]) -> None:
-    """A control step must be a whole number of physics steps, as in EmbodiChain."""
-    frequency, where = env.get("target_control_frequency"), ("env", "target_control_frequency")
+def _convert_control_period(draft: Draft, env: Mapping[str, Any]) -> None:
+    """Convert the frequency of control; a control step is a whole number of physics steps."""
+    where = ("env", "target_control_frequency")
+    frequency = env.get("target_control_frequency")
     if frequency is None:
         return
     dt = draft.task.get("physics", {}).get("physics_dt", _DEFAULT_DT)
-    if not all(isinstance(v, (int, float)) and v > 0 for v in (frequency, dt)):
+    if not (_is_positive(frequency) and _is_positive(dt)):
         draft.refuse(where, f"expected a positive number, got {frequency!r}")
         return
     steps = 1.0 / (dt * frequency)
@@ -200,6 +205,10 @@ def _control_period(draft: Draft, env: Mapping[str, Any]) -> None:
         draft.refuse(where, f"{frequency} Hz is not a whole number of physics steps of {dt} s")
         return
     draft.put(("sim_steps_per_control",), round(steps), where)
+
+
+def _is_positive(value: Any) -> bool:
+    return isinstance(value, (int, float)) and value > 0
 
 
 def _suggest(draft: Draft, config: Mapping[str, Any]) -> None:
@@ -214,7 +223,8 @@ def _suggest(draft: Draft, config: Mapping[str, Any]) -> None:
             continue
         for verb in verbs:
             draft.put(("suggested", verb, name), value, (key,))
-    device, card = config.get("device"), config.get("gpu_id")
+    device = config.get("device")
+    card = config.get("gpu_id")
     if device == "cuda" and isinstance(card, int):
         draft.note(("device",), f"give it on the command line: device=cuda:{card}")
         draft.note(("gpu_id",), "it is the number in device=cuda:N")

@@ -53,13 +53,13 @@ class Draft:
         """Add a problem."""
         self.problems.append(Problem(".".join(source), message, hint.strip()))
 
-    def carry(self, data: Any, source: Path, target: Path, vocabulary: Vocabulary) -> bool:
+    def apply_rules(self, data: Any, source: Path, target: Path, vocabulary: Vocabulary) -> bool:
         """Apply a table's rules to the keys of a map; keys that are `HANDLED` are not touched.
 
         Args:
             data: The map; any other type is refused.
             source: Its path.
-            target: Path in the task for the kept keys.
+            target: Path in the task of the map that gets the keys.
             vocabulary: The table.
 
         Returns:
@@ -74,35 +74,40 @@ class Draft:
             if rule is None and self.ours:
                 self.put((*target, str(key)), value, where)
             elif rule is None:
-                self.unknown(where, vocabulary)
+                self.refuse_key(where, vocabulary)
             elif isinstance(rule, str):
-                if value is not None and value != [] and value != {}:  # else nothing is left out
+                is_empty = value is None or value == [] or value == {}  # nothing is left out
+                if not is_empty:
                     self.note(where, rule)
             elif rule is not HANDLED:
                 self.put((*target, str(key)), value, where)
         return True
 
-    def unknown(self, where: Path, allowed: Mapping[str, Any]) -> None:
+    def refuse_key(self, where: Path, allowed: Mapping[str, Any]) -> None:
         """Refuse an unknown key; suggests the closest known one."""
         hint = did_you_mean(where[-1], allowed)
         self.refuse(where, f"unknown key; known: {', '.join(allowed)}.", hint)
 
-    def entity(
+    def add_entity(
         self, data: Any, source: Path, section: str, fallback: str | None = None
     ) -> Path | None:
-        """Return the path in the task for an element of a list of entities, by its unique uid.
+        """Add an element of a list of entities to the task, still empty, under its unique uid.
 
         Args:
             data: The element.
             source: Its path.
             section: The map of entities that it is added to.
             fallback: A key with a file; the stem is the name of an element without uid.
+
+        Returns:
+            Its path in the task; None if it has no uid, or another entity has the same.
         """
-        data = data if isinstance(data, Mapping) else {}
-        uid = data.get("uid")
-        if not uid and fallback is not None:
-            file = data.get(fallback)
-            uid = PurePosixPath(file.replace("\\", "/")).stem if isinstance(file, str) else None
+        uid: Any = None
+        if isinstance(data, Mapping):
+            uid = data.get("uid")
+            file = None if fallback is None else data.get(fallback)
+            if not uid and isinstance(file, str):
+                uid = PurePosixPath(file.replace("\\", "/")).stem
         if not isinstance(uid, str) or not uid:
             self.refuse((*source, "uid"), "missing value: the name of the entity")
             return None
@@ -117,11 +122,13 @@ class Draft:
         if data is not None and not isinstance(data, list):
             self.refuse(source, f"expected a list, got {data!r}")
         elif data is not None:
-            yield from (((*source, str(i)), value) for i, value in enumerate(data))
+            for i, value in enumerate(data):
+                yield (*source, str(i)), value
 
     def entries(self, data: Any, source: Path) -> Iterator[tuple[Path, str, Any]]:
         """The values of a map with their paths and names; None is empty, others are refused."""
         if data is not None and not isinstance(data, Mapping):
             self.refuse(source, f"expected a map, got {data!r}")
         elif data is not None:
-            yield from (((*source, str(key)), str(key), value) for key, value in data.items())
+            for key, value in data.items():
+                yield (*source, str(key)), str(key), value

@@ -44,9 +44,11 @@ def config_to_cfg(
     Raises:
         ConfigError: Lists every unknown key and wrong type, with its path in the gym config.
     """
-    modules = [
-        importlib.import_module(m) if isinstance(m, str) else m for m in manager_modules or ()
-    ]
+    modules: list[ModuleType] = []
+    for module in manager_modules or ():
+        if isinstance(module, str):
+            module = importlib.import_module(module)
+        modules.append(module)
     conversion = convert(_with_modules(config, modules), tuple(REGISTERED_ENVS))
     cfg = checked_cfg(conversion)
     run = cfg.suggested.run
@@ -68,16 +70,17 @@ def checked_cfg(conversion: Conversion) -> EnvCfg:
     if conversion.problems:
         raise ConfigError(conversion.problems)
     try:
-        cfg: EnvCfg = from_dict(EnvCfg, conversion.task)
+        return from_dict(EnvCfg, conversion.task)
     except ConfigError as error:
-        raise ConfigError(
-            Problem(".".join(conversion.origin(tuple(p.path.split(".")))), p.message, p.hint)
-            for p in error.problems
-        ) from error
-    return cfg
+        problems: list[Problem] = []
+        for problem in error.problems:
+            origin = conversion.origin(tuple(problem.path.split(".")))
+            problems.append(Problem(".".join(origin), problem.message, problem.hint))
+        raise ConfigError(problems) from error
 
 
 def _sim_cfg(config: Mapping[str, Any]) -> SimulationManagerCfg:
+    """The config of the simulation, from the keys that have no equivalent in YAML."""
     values = {key: config[key] for key in _SIM_KEYS if config.get(key) is not None}
     if config.get("device") is not None:
         values["sim_device"] = config["device"]
@@ -93,16 +96,21 @@ def _with_modules(config: Mapping[str, Any], modules: Sequence[ModuleType]) -> d
     env = config.get("env")
     if not modules or not isinstance(env, Mapping):
         return dict(config)
-    sections = {
-        section: {name: _named(functor, kind, modules) for name, functor in env[section].items()}
-        for section, kind in FUNCTORS.items()
-        if isinstance(env.get(section), Mapping)
-    }
+    sections: dict[str, Any] = {}
+    for section, kind in FUNCTORS.items():
+        functors = env.get(section)
+        if isinstance(functors, Mapping):
+            sections[section] = {
+                name: _with_module(functor, kind, modules) for name, functor in functors.items()
+            }
     return {**config, "env": {**env, **sections}}
 
 
-def _named(functor: Any, kind: Kind, modules: Sequence[ModuleType]) -> Any:
-    func = functor.get("func") if isinstance(functor, Mapping) else None
+def _with_module(functor: Any, kind: Kind, modules: Sequence[ModuleType]) -> Any:
+    """A functor whose function is named with its module, unless it is a registered term."""
+    if not isinstance(functor, Mapping):
+        return functor
+    func = functor.get("func")
     if not isinstance(func, str) or func in TERMS[kind]:
         return functor
     for module in modules:

@@ -43,9 +43,9 @@ def read_gym_config(path: str | Path) -> dict[str, Any]:
     except json.JSONDecodeError as error:
         raise ConfigError(f"{path}:{error.lineno}: malformed JSON: {error.msg}") from error
     except yaml.YAMLError as error:
-        raise ConfigError(f"{path}{_where(error)}: malformed YAML: {_why(error)}") from error
+        raise ConfigError(f"{path}{_line_of(error)}: malformed YAML: {_reason(error)}") from error
     except RecursionError as error:
-        raise ConfigError(f"{path}: nested too deeply, or an alias is in itself") from error
+        raise ConfigError(f"{path}: nested too deeply, or an alias contains itself") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from error
     if not isinstance(data, dict):
@@ -63,10 +63,13 @@ def is_gym_config(data: object) -> bool:
     return isinstance(data.get("env"), dict) or "environment" in data or "embodiment" in data
 
 
-def _where(error: yaml.YAMLError) -> str:
+def _line_of(error: yaml.YAMLError) -> str:
+    """The line of a mistake, as ``:7``; empty if it is unknown."""
     mark = getattr(error, "problem_mark", None)
-    return "" if mark is None else f":{mark.line + 1}"
+    if mark is None:
+        return ""
+    return f":{mark.line + 1}"
 
 
-def _why(error: yaml.YAMLError) -> str:
+def _reason(error: yaml.YAMLError) -> str:
     return str(getattr(error, "problem", None) or error).splitlines()[0]

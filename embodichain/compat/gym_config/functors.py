@@ -81,7 +81,8 @@ RENAMED: Final[Mapping[str, str]] = {"randomize_camera_extrinsics": "randomize_c
 """Event -> term here."""
 OF_CAMERA: Final[Mapping[str, Mapping[str, str]]] = {
     "randomize_camera_pose": {
-        **{"entity_cfg": "camera", "pos_range": "position_range"},
+        "entity_cfg": "camera",
+        "pos_range": "position_range",
         "euler_range": "rotation_range",
     },
     "randomize_camera_intrinsics": {"entity_cfg": "sensor"},
@@ -89,9 +90,14 @@ OF_CAMERA: Final[Mapping[str, Mapping[str, str]]] = {
 """Term of a camera -> parameter there -> parameter here; ``entity_cfg`` names the camera there."""
 
 VISUAL: Final = (
-    *("randomize_visual_material", "randomize_indirect_lighting", "randomize_light"),
-    *("randomize_emission_light", "randomize_camera_pose", "randomize_camera_intrinsics"),
-    *("set_rigid_object_visual_material", "set_rigid_object_group_visual_material"),
+    "randomize_visual_material",
+    "randomize_indirect_lighting",
+    "randomize_light",
+    "randomize_emission_light",
+    "randomize_camera_pose",
+    "randomize_camera_intrinsics",
+    "set_rigid_object_visual_material",
+    "set_rigid_object_group_visual_material",
 )
 """Events that `env.filter_visual_rand` leaves out."""
 

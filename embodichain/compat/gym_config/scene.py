@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from embodichain.compat.gym_config import vocabulary as known
+from embodichain.compat.gym_config import vocabulary
 from embodichain.compat.gym_config.draft import Draft, Path
 from embodichain.lab.sim.cfg import RobotCfg, name_of
 from embodichain.lab.sim.configs.urdf_cfg import URDFCfg, URDFComponentCfg
@@ -20,8 +21,30 @@ __all__ = [
 ]
 
 _OTHER_LIGHT_TYPES = ("rect", "mesh")
-_PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6, {"arm": ["Joint[1-6]"]})}
-"""EmbodiChain's robot classes with one file -> the file, its joints, their control parts."""
+
+
+@dataclass(frozen=True)
+class _Preset:
+    """A robot class of EmbodiChain's with one file.
+
+    Attributes:
+        fpath: The file.
+        num_joints: Number of its joints.
+        control_parts: Part -> patterns of its joints.
+    """
+
+    fpath: str
+    num_joints: int
+    control_parts: dict[str, list[str]]
+
+
+_PRESETS = {
+    "URRobot": _Preset(
+        fpath="UniversalRobots/UR10/UR10.urdf",
+        num_joints=6,
+        control_parts={"arm": ["Joint[1-6]"]},
+    )
+}
 _CAMERA_TYPES = {"Camera": "camera", "StereoCamera": "stereo_camera"}
 _LENS = (600, 600, 320.0, 240.0)
 """EmbodiChain's intrinsics of a camera without any, whatever its size."""
@@ -40,19 +63,19 @@ def convert_objects(draft: Draft, section: str, data: Any) -> None:
         data: The list.
     """
     for source, item in draft.items(data, (section,)):
-        target = draft.entity(item, source, "objects")
-        if target is None or not draft.carry(item, source, target, known.RIGID_OBJECT):
+        target = draft.add_entity(item, source, "objects")
+        if target is None or not draft.apply_rules(item, source, target, vocabulary.RIGID_OBJECT):
             continue
         if item.get("shape") is not None:
-            _shape(draft, item["shape"], (*source, "shape"), (*target, "shape"))
+            _convert_shape(draft, item["shape"], (*source, "shape"), (*target, "shape"))
         if item.get("attrs") is not None:
-            _attrs(draft, item["attrs"], (*source, "attrs"), (*target, "attrs"))
-        _body_type(draft, section, item, source, target)
+            _convert_attrs(draft, item["attrs"], (*source, "attrs"), (*target, "attrs"))
+        _convert_body_type(draft, section, item, source, target)
         if not draft.ours:
-            _damping(draft, source, target)
+            _put_default_damping(draft, source, target)
 
 
-def _damping(draft: Draft, source: Path, target: Path) -> None:
+def _put_default_damping(draft: Draft, source: Path, target: Path) -> None:
     """Write EmbodiChain's default damping of a body that moves; here it is 0."""
     cfg = draft.task[target[0]][target[1]]
     attrs = cfg.get("attrs") or {}
@@ -63,29 +86,29 @@ def _damping(draft: Draft, source: Path, target: Path) -> None:
             draft.put((*target, "attrs", key), _DAMPING, (*source, "attrs"))
 
 
-def _attrs(draft: Draft, data: Any, source: Path, target: Path) -> None:
+def _convert_attrs(draft: Draft, data: Any, source: Path, target: Path) -> None:
     """Convert the attributes of a body: flat, or in the groups of release 0.3."""
     if not isinstance(data, Mapping):
-        draft.carry(data, source, target, known.ATTRS)  # refuses it
+        draft.apply_rules(data, source, target, vocabulary.ATTRS)  # refuses it
         return
-    flat = {k: v for k, v in data.items() if k not in known.ATTR_GROUPS}
-    draft.carry(flat, source, target, known.ATTRS)
-    for group in known.ATTR_GROUPS:
+    flat_attrs = {key: value for key, value in data.items() if key not in vocabulary.ATTR_GROUPS}
+    draft.apply_rules(flat_attrs, source, target, vocabulary.ATTRS)
+    for group in vocabulary.ATTR_GROUPS:
         if data.get(group) is not None:
-            draft.carry(data[group], (*source, group), target, known.ATTRS)
+            draft.apply_rules(data[group], (*source, group), target, vocabulary.ATTRS)
 
 
 def convert_lights(draft: Draft, data: Any) -> None:
     """Convert the section `light`: its direct lights."""
-    if data is None or not draft.carry(data, ("light",), (), known.LIGHTS):
+    if data is None or not draft.apply_rules(data, ("light",), (), vocabulary.LIGHTS):
         return
     for source, item in draft.items(data.get("direct"), ("light", "direct")):
         kind = item.get("light_type") if isinstance(item, Mapping) else None
         if kind in _OTHER_LIGHT_TYPES:
             draft.note(source, f"lights of type {kind} are not drawn")
             continue
-        target = draft.entity(item, source, "lights")
-        if target is None or not draft.carry(item, source, target, known.LIGHT):
+        target = draft.add_entity(item, source, "lights")
+        if target is None or not draft.apply_rules(item, source, target, vocabulary.LIGHT):
             continue
         if kind is not None:
             draft.put((*target, "light_type"), kind, (*source, "light_type"))
@@ -101,34 +124,40 @@ def convert_sensors(draft: Draft, data: Any, observe: bool = True) -> None:
     """
     for source, item in draft.items(data, ("sensor",)):
         kind = str(item.get("sensor_type")) if isinstance(item, Mapping) else repr(item)
-        if kind in known.CAMERAS:
-            _camera(draft, item, source, kind, observe)
-        elif kind in known.SENSORS:
-            draft.note(source, known.SENSORS[kind])
+        if kind in vocabulary.CAMERAS:
+            _convert_camera(draft, item, source, kind, observe)
+        elif kind in vocabulary.SENSORS:
+            draft.note(source, vocabulary.SENSORS[kind])
         else:
-            names = [*known.CAMERAS, *known.SENSORS]
+            names = [*vocabulary.CAMERAS, *vocabulary.SENSORS]
             message = f"unknown sensor {kind!r}; known: {', '.join(names)}."
             draft.refuse((*source, "sensor_type"), message, did_you_mean(kind, names))
 
 
-def _camera(draft: Draft, item: Mapping[str, Any], source: Path, kind: str, observe: bool) -> None:
+def _convert_camera(
+    draft: Draft, item: Mapping[str, Any], source: Path, kind: str, observe: bool
+) -> None:
     """Convert a camera, or a pair of them."""
-    target = draft.entity(item, source, "sensors")
-    if target is None or not draft.carry(item, source, target, known.CAMERAS[kind]):
+    target = draft.add_entity(item, source, "sensors")
+    if target is None or not draft.apply_rules(item, source, target, vocabulary.CAMERAS[kind]):
         return
     draft.put((*target, "sensor_type"), _CAMERA_TYPES[kind], (*source, "sensor_type"))
     draft.put((*target, "observe"), observe, source)
-    lenses = ("intrinsics", "intrinsics_right") if kind == "StereoCamera" else ("intrinsics",)
+    lenses = ["intrinsics"]
+    if kind == "StereoCamera":
+        lenses.append("intrinsics_right")
     for key in lenses:
         if key not in item:
             draft.put((*target, key), list(_LENS), source)
     extrinsics = item.get("extrinsics")
-    is_attached = isinstance(extrinsics, Mapping) and extrinsics.get("parent")
     # EmbodiChain turns the axes of cameras that are fixed in the environment.
-    draft.put((*target, "convention"), "opengl" if is_attached else "ros", source)
+    convention = "ros"
+    if isinstance(extrinsics, Mapping) and extrinsics.get("parent"):
+        convention = "opengl"
+    draft.put((*target, "convention"), convention, source)
 
 
-def _body_type(
+def _convert_body_type(
     draft: Draft, section: str, item: Mapping[str, Any], source: Path, target: Path
 ) -> None:
     """Convert `body_type`; a background is static by default."""
@@ -142,43 +171,53 @@ def _body_type(
         draft.put((*target, "body_type"), "static", source)
 
 
-def _shape(draft: Draft, data: Any, source: Path, target: Path) -> None:
+def _convert_shape(draft: Draft, data: Any, source: Path, target: Path) -> None:
     """Convert a shape, with its material."""
-    written = str(data.get("shape_type", "")) if isinstance(data, Mapping) else ""
-    kind = written.removesuffix("Cfg")
-    if kind not in known.SHAPES and draft.ours:
+    shape_type = ""
+    if isinstance(data, Mapping):
+        shape_type = str(data.get("shape_type", ""))
+    kind = shape_type.removesuffix("Cfg")
+    if kind not in vocabulary.SHAPES and draft.ours:
         draft.put(target, data, source)
         return
-    if kind not in known.SHAPES:
-        message = f"unknown shape_type {written!r}; known: {', '.join(known.SHAPES)}."
-        draft.refuse((*source, "shape_type"), message, did_you_mean(kind, known.SHAPES))
+    if kind not in vocabulary.SHAPES:
+        message = f"unknown shape_type {shape_type!r}; known: {', '.join(vocabulary.SHAPES)}."
+        draft.refuse((*source, "shape_type"), message, did_you_mean(kind, vocabulary.SHAPES))
         return
     draft.put((*target, "shape_type"), kind, (*source, "shape_type"))
-    keys = {k: v for k, v in data.items() if k not in ("shape_type", "visual_material")}
-    draft.carry(keys, source, target, known.SHAPES[kind])
+    sizes = {
+        key: value for key, value in data.items() if key not in ("shape_type", "visual_material")
+    }
+    draft.apply_rules(sizes, source, target, vocabulary.SHAPES[kind])
     material = data.get("visual_material")
     if material is not None:
         where = (*source, "visual_material")
-        draft.carry(material, where, (*target, "visual_material"), known.MATERIAL)
-        texture = material.get("base_color_texture") if isinstance(material, Mapping) else None
-        if isinstance(texture, str):
-            place = (*target, "visual_material", "textures")
-            draft.put(place, [texture], (*where, "base_color_texture"))
-        elif texture is not None:
-            draft.note((*where, "base_color_texture"), "a texture is a file of an image")
+        _convert_material(draft, material, where, (*target, "visual_material"))
+
+
+def _convert_material(draft: Draft, data: Any, source: Path, target: Path) -> None:
+    """Convert the material of a shape, with its texture."""
+    if not draft.apply_rules(data, source, target, vocabulary.MATERIAL):
+        return
+    texture = data.get("base_color_texture")
+    where = (*source, "base_color_texture")
+    if isinstance(texture, str):
+        draft.put((*target, "textures"), [texture], where)
+    elif texture is not None:
+        draft.note(where, "a texture is a file of an image")
 
 
 def convert_robot(draft: Draft, data: Any) -> str:
     """Convert the section `robot`; return the robot's uid, empty if it is unknown."""
     source: Path = ("robot",)
-    if not draft.carry(data, source, ("robot",), known.ROBOT):
+    if not draft.apply_rules(data, source, ("robot",), vocabulary.ROBOT):
         return ""
     if data.get("uid"):
         draft.put(("robot", "uid"), data["uid"], ("robot", "uid"))
-    joints = _file(draft, data)
-    _init_qpos(draft, data.get("init_qpos"), joints)
-    _solvers(draft, data.get("solver_cfg"))
-    _parts_of_articulation(draft, data, source, ("robot",))
+    joints = _convert_file(draft, data)
+    _convert_init_qpos(draft, data.get("init_qpos"), joints)
+    _convert_solvers(draft, data.get("solver_cfg"))
+    _convert_parts(draft, data, source, ("robot",))
     return _robot_uid(draft.task.get("robot", {}))
 
 
@@ -196,38 +235,37 @@ def _robot_uid(robot: Mapping[str, Any]) -> str:
 def convert_articulations(draft: Draft, data: Any) -> None:
     """Convert the section `articulation`."""
     for source, item in draft.items(data, ("articulation",)):
-        target = draft.entity(item, source, "articulations", fallback="fpath")
-        if target is not None and draft.carry(item, source, target, known.ARTICULATION):
-            _parts_of_articulation(draft, item, source, target)
+        target = draft.add_entity(item, source, "articulations", fallback="fpath")
+        if target is not None and draft.apply_rules(item, source, target, vocabulary.ARTICULATION):
+            _convert_parts(draft, item, source, target)
 
 
-def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
+def _convert_file(draft: Draft, data: Mapping[str, Any]) -> int | None:
     """Set the robot's file; return its number of joints if a preset has it."""
     kind_key = "class_type" if "class_type" in data else "robot_type"
     kind = data.get(kind_key)
     urdf = data.get("urdf_cfg")
     has_file = bool(data.get("fpath"))
-    joints = None
+    num_joints = None
     preset = _PRESETS.get(str(kind))
-    fpath = ""
+    preset_file = ""
     if not has_file and preset is not None:
-        fpath, joints, parts = preset
+        preset_file = preset.fpath
         if data.get("control_parts") is None:
-            draft.put(("robot", "control_parts"), parts, ("robot", kind_key))
-        if urdf is None:
-            draft.put(("robot", "fpath"), fpath, ("robot", kind_key))
-        else:
-            joints = None  # components add joints
+            draft.put(("robot", "control_parts"), preset.control_parts, ("robot", kind_key))
+        if urdf is None:  # components add joints
+            draft.put(("robot", "fpath"), preset_file, ("robot", kind_key))
+            num_joints = preset.num_joints
     elif kind is not None and preset is None and kind not in _PLAIN:
-        _unknown_kind(draft, kind, kind_key, has_file=has_file or urdf is not None)
+        _report_unknown_class(draft, kind, kind_key, has_file=has_file or urdf is not None)
     if urdf is not None and has_file:
         draft.note(("robot", "urdf_cfg"), "fpath names the robot's file")
     elif urdf is not None:
-        _urdf(draft, urdf, fpath)
-    return joints
+        _convert_urdf(draft, urdf, preset_file)
+    return num_joints
 
 
-def _unknown_kind(draft: Draft, kind: Any, key: str, *, has_file: bool) -> None:
+def _report_unknown_class(draft: Draft, kind: Any, key: str, *, has_file: bool) -> None:
     """Note a robot class that is not in this package; refuse it if no file is named either."""
     message = f"the class {kind!r} is not here"
     if has_file:
@@ -237,10 +275,10 @@ def _unknown_kind(draft: Draft, kind: Any, key: str, *, has_file: bool) -> None:
         draft.refuse(("robot", key), message, did_you_mean(str(kind), _PRESETS))
 
 
-def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
+def _convert_urdf(draft: Draft, urdf: Any, preset: str) -> None:
     """Convert a robot assembled from files; the arm is the preset's file by default."""
     source: Path = ("robot", "urdf_cfg")
-    if not draft.carry(urdf, source, source, known.URDF):
+    if not draft.apply_rules(urdf, source, source, vocabulary.URDF):
         return
     where = (*source, "components")
     data = urdf.get("components")
@@ -249,10 +287,13 @@ def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
     components: list[Any] = []
     for place, component in draft.items(data, where):
         if isinstance(component, Mapping):
-            keys = {key: value for key, value in component.items() if key in known.URDF_COMPONENT}
-            for key in component.keys() - keys.keys():
-                draft.note((*place, key), "it has no effect")
-            components.append(keys)
+            converted: dict[str, Any] = {}
+            for key, value in component.items():
+                if key in vocabulary.URDF_COMPONENT:
+                    converted[key] = value
+                else:
+                    draft.note((*place, key), "it has no effect")
+            components.append(converted)
         else:
             draft.refuse(place, f"expected a map, got {component!r}")
     kinds = [component.get("component_type") for component in components]
@@ -263,17 +304,17 @@ def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
     draft.put((*source, "components"), components, where)
 
 
-def _solvers(draft: Draft, data: Any) -> None:
-    """Tool points by control part; a solver without a part applies to the whole robot."""
+def _convert_solvers(draft: Draft, data: Any) -> None:
+    """Convert tool points by control part; a solver without a part applies to the whole robot."""
     source: Path = ("robot", "solver_cfg")
-    if isinstance(data, Mapping) and any(key in known.SOLVER for key in data):
-        draft.carry(data, source, (*source, "default"), known.SOLVER)
+    if isinstance(data, Mapping) and any(key in vocabulary.SOLVER for key in data):
+        draft.apply_rules(data, source, (*source, "default"), vocabulary.SOLVER)
         return
     for where, part, solver in draft.entries(data, source):
-        draft.carry(solver, where, (*source, part), known.SOLVER)
+        draft.apply_rules(solver, where, (*source, part), vocabulary.SOLVER)
 
 
-def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
+def _convert_init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
     """Convert initial joint positions, without those of joints that only an assembly adds."""
     if values is None:
         return
@@ -284,21 +325,21 @@ def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
     draft.put(where, values, where)
 
 
-def _parts_of_articulation(
-    draft: Draft, data: Mapping[str, Any], source: Path, target: Path
-) -> None:
-    """Drives, attributes and properties of the root, by the names of releases 0.2 and 0.3."""
+def _convert_parts(draft: Draft, data: Mapping[str, Any], source: Path, target: Path) -> None:
+    """Convert drives, attributes and root of an articulation, of releases 0.2 and 0.3."""
     for key in ("drive_pros", "joint_drive_props"):
         if data.get(key) is not None:
-            draft.carry(data[key], (*source, key), (*target, "drive_pros"), known.DRIVE)
+            draft.apply_rules(data[key], (*source, key), (*target, "drive_pros"), vocabulary.DRIVE)
     if data.get("attrs") is not None:
-        _attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
+        _convert_attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
     root = data.get("root_props")
     where = (*source, "root_props")
-    collides = root.get("self_collision_enabled") if isinstance(root, Mapping) else None
+    collides = None
+    if isinstance(root, Mapping):
+        collides = root.get("self_collision_enabled")
     if collides is None and data.get("disable_self_collision") is None:  # EmbodiChain's default
         draft.put((*target, "disable_self_collision"), True, source)
-    if root is not None and draft.carry(root, where, target, known.ROOT_PROPS):
+    if root is not None and draft.apply_rules(root, where, target, vocabulary.ROOT_PROPS):
         if "fixed_base" in root:
             draft.put((*target, "fix_base"), root["fixed_base"], (*where, "fixed_base"))
         if collides is not None:

@@ -56,16 +56,15 @@ def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str
     """
     kind, vocabulary = _TABLES[section]
     for source, name, functor in draft.entries(env.get(section), ("env", section)):
-        spec, func = _find(draft, kind, functor, source)
+        spec, func = _find_term(draft, kind, functor, source)
         if func is None:
             continue
         if func in VISUAL and env.get("filter_visual_rand"):
             draft.note(source, f"{func}: env.filter_visual_rand leaves it out")
             continue
-        params = _known_params(draft, _params(draft, functor, source), func, source)
-        params = _of_camera(params, func)
-        needed = NEEDS_ANY.get(func)
-        if needed is not None and not any(params.get(key) is not None for key in needed):
+        params = _drop_params(draft, _params(draft, functor, source), func, source)
+        params = _rename_camera_params(params, func)
+        if func in NEEDS_ANY and all(params.get(key) is None for key in NEEDS_ANY[func]):
             draft.note(source, f"{func}: nothing is left that it would change")
             continue
         target = (section, name)
@@ -73,10 +72,10 @@ def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str
         if section == "observations":
             # EmbodiChain's default is to modify, here it is to add.
             draft.put((*target, "mode"), functor.get("mode", "modify"), (*source, "mode"))
-        draft.carry(functor, source, target, vocabulary)
+        draft.apply_rules(functor, source, target, vocabulary)
         if params:
-            fitted = _with_entity(params, spec, {"uid": robot})
-            draft.put((*target, "params"), fitted, (*source, "params"))
+            params = _with_entity(params, spec, {"uid": robot})
+            draft.put((*target, "params"), params, (*source, "params"))
 
 
 def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
@@ -97,44 +96,49 @@ def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
             term = {"func": "joint_position", "params": {"entity_cfg": entity}}
             draft.put(("actions", "qpos"), term, ("env", key))
     for source, name, functor in draft.entries(env.get("actions"), ("env", "actions")):
-        spec, func = _find(draft, "action", functor, source)
+        spec, func = _find_term(draft, "action", functor, source)
         if func is not None:
             target = ("actions", name)
             draft.put((*target, "func"), func, (*source, "func"))
-            draft.carry(functor, source, target, ACTION)
+            draft.apply_rules(functor, source, target, ACTION)
             params = _action_params(draft, functor, source, spec, entity)
             draft.put((*target, "params"), params, (*source, "params"))
 
 
-def _find(draft: Draft, kind: Kind, functor: Any, source: Path) -> tuple[TermSpec | None, Any]:
-    """The term for a functor, if it is registered, and its name; a name None leaves it out."""
+def _find_term(draft: Draft, kind: Kind, functor: Any, source: Path) -> tuple[TermSpec | None, Any]:
+    """Find the term for a functor.
+
+    Returns:
+        The term, if it is registered; and its name here, or the function that was declared in
+        Python. None leaves the functor out; the draft has a note or a problem then.
+    """
     if not isinstance(functor, Mapping):
         draft.refuse(source, f"expected a map, got {functor!r}")
         return None, None
     key = "contract" if "func" not in functor and "contract" in functor else "func"
-    written = functor.get(key)
-    if callable(written):  # declared in Python: a user's function
-        return None, written
-    if not isinstance(written, str) or not written:
+    func = functor.get(key)
+    if callable(func):  # declared in Python: a user's function
+        return None, func
+    if not isinstance(func, str) or not func:
         draft.refuse((*source, key), "missing value: the name of a functor")
         return None, None
-    name = _local(written)
-    known = TERMS[kind]
+    name = _local_name(func)
+    terms = TERMS[kind]
     if kind == "action":
         name = ACTIONS.get(name, name)
     elif kind == "event":
         name = RENAMED.get(name, name)
-    if name not in known and name in LEFT_OUT[kind]:
+    if name not in terms and name in LEFT_OUT[kind]:
         message = f"{name}: {LEFT_OUT[kind][name]}"
         if kind == "action" and name != "QposNormalizedTerm":
             draft.refuse((*source, key), message)  # leaving it out would change the control
         else:
             draft.note(source, message)
         return None, None
-    return known.get(name), name
+    return terms.get(name), name
 
 
-def _local(name: str) -> str:
+def _local_name(name: str) -> str:
     """A functor's local name; ``package.module:function`` for a user's dotted name."""
     if "." not in name or ":" in name or "@" in name:
         return name
@@ -153,8 +157,8 @@ def _params(draft: Draft, functor: Mapping[str, Any], source: Path) -> dict[str,
     return dict(params or {})
 
 
-def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path) -> dict[str, Any]:
-    """The parameters that the term here has."""
+def _drop_params(draft: Draft, params: dict[str, Any], func: str, source: Path) -> dict[str, Any]:
+    """Return the parameters without those that have no effect here; adds a note for each."""
     reasons = PARAMS_LEFT_OUT.get(func, {})
     for key in params:
         if key in reasons:
@@ -162,8 +166,8 @@ def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path)
     return {key: value for key, value in params.items() if key not in reasons}
 
 
-def _of_camera(params: dict[str, Any], func: str) -> dict[str, Any]:
-    """Parameters of a camera's event, under their names here."""
+def _rename_camera_params(params: dict[str, Any], func: str) -> dict[str, Any]:
+    """Return the parameters of a camera's event under their names here."""
     names = OF_CAMERA.get(func, {})
     renamed = {names.get(key, key): value for key, value in params.items()}
     camera = renamed.get(names.get("entity_cfg", ""))
@@ -207,8 +211,9 @@ def _action_params(
     if spec is None:
         return params
     clip = spec.params.get("clip")
-    bounds = None if clip is None or "clip" in params else clip.default
-    if isinstance(bounds, tuple) and spec.name not in _CLIPPED_THERE:
-        params["clip"] = list(bounds)
-        draft.note(source, f"actions are clamped to {list(bounds)}: set clip for other bounds")
+    default = None if clip is None else clip.default
+    if isinstance(default, tuple) and "clip" not in params and spec.name not in _CLIPPED_THERE:
+        bounds = list(default)
+        params["clip"] = bounds
+        draft.note(source, f"actions are clamped to {bounds}: set clip for other bounds")
     return _with_entity(params, spec, entity)

@@ -14,16 +14,16 @@ from typing import Any, Final, TypeVar
 __all__ = ["HANDLED", "KEEP", "Rule", "Vocabulary", "each"]
 
 
-class Found(Enum):
+class Treatment(Enum):
     """Rules for keys that are not left out."""
 
     KEEP = auto()
     HANDLED = auto()
 
 
-KEEP: Final = Found.KEEP
-HANDLED: Final = Found.HANDLED
-Rule = Found | str
+KEEP: Final = Treatment.KEEP
+HANDLED: Final = Treatment.HANDLED
+Rule = Treatment | str
 Vocabulary = Mapping[str, Any]
 """Key -> its `Rule`."""
 

@@ -169,7 +169,7 @@ def tool_of(
     return env.scene_entity({"uid": entity.uid, "link_names": links})
 
 
-def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
+def get_or_create(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
     """The value of ``env.<name>``, created by `first` if there is none.
 
     Args:

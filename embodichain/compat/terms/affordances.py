@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from embodichain.compat.terms._targets import asset_of, stored
+from embodichain.compat.terms._targets import asset_of, get_or_create
 from embodichain.lab.gym.envs.cfg import EnvCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.managers.param_types import Body, Whole
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
@@ -72,7 +72,7 @@ class ExtraAttr:
 
 @dataclass
 class PoseParams:
-    """How `register_entity_pose` registers; see there."""
+    """The parameters of `register_entity_pose`, which describes them."""
 
     __pydantic_config__ = {"extra": "forbid"}
 
@@ -93,20 +93,28 @@ class Registry:
     pose_register_params: PoseParams | None = None
 
 
-def _uids_of(env: TermContext, wanted: Relative, path: str) -> list[str]:
-    """Uids for `all_objects` (rigid objects and articulations), `all_robots`, or a list of names.
+def _uids_of(env: TermContext, selection: Relative, path: str) -> list[str]:
+    """The entities of a selection.
+
+    Args:
+        env: The environment.
+        selection: ``all_objects`` (rigid objects and articulations), ``all_robots``, a name or a
+            list of names; true is every entity, false is none.
+        path: The parameter that has it, for messages.
 
     Raises:
         ConfigError: If an entity does not exist; lists those that do.
     """
     sim = env.sim
-    if isinstance(wanted, bool):
-        return [*sim.articulations, *sim.rigid_objects, *sim.robots] if wanted else []
-    if wanted == "all_objects":
+    if selection is True:
+        return [*sim.articulations, *sim.rigid_objects, *sim.robots]
+    if selection is False:
+        return []
+    if selection == "all_objects":
         return [*sim.rigid_objects, *sim.articulations]
-    if wanted == "all_robots":
+    if selection == "all_robots":
         return [*sim.robots]
-    names = [wanted] if isinstance(wanted, str) else wanted
+    names = [selection] if isinstance(selection, str) else selection
     for name in names:
         asset_of(env, name, path)
     return names
@@ -127,22 +135,25 @@ class PrepareExtraAttr(Term):
     """  # noqa: E501
 
     def __init__(self, env: TermContext, attrs: list[ExtraAttr]) -> None:
-        self._values = [
-            (uid, attr.name, _value_of(env, attr, uid, f"attrs.{number}"))
-            for number, attr in enumerate(attrs)
-            for uid in _uids_with(env, attr, f"attrs.{number}")
-        ]
-        stored(env, EXTRA_ATTRS, dict, "attrs")
+        self._values: list[tuple[str, str, Callable[[EnvIndex | None], Any]]] = []
+        for number, attr in enumerate(attrs):
+            path = f"attrs.{number}"
+            for uid in _uids_with(env, attr, path):
+                self._values.append((uid, attr.name, _value_of(env, attr, uid, path)))
+        get_or_create(env, EXTRA_ATTRS, dict, "attrs")
 
     @classmethod
     def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
         """Return a mistake for each function that would be imported, where that is not allowed."""
-        names = [(number, attr.func_name or "") for number, attr in enumerate(params["attrs"])]
-        return [
-            Problem(f"attrs.{number}.func_name", f"{name!r} {_NOT_IMPORTED}")
-            for number, name in names
-            if ":" in name and not allow_import
-        ]
+        if allow_import:
+            return []
+        problems: list[Problem] = []
+        for number, attr in enumerate(params["attrs"]):
+            name = attr.func_name or ""
+            if ":" in name:
+                message = f"{name!r} {_NOT_IMPORTED}"
+                problems.append(Problem(f"attrs.{number}.func_name", message))
+        return problems
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Set the attributes."""
@@ -212,7 +223,7 @@ class RegisterInfoToEnv(Term):
     ) -> None:
         self._env = env
         self._table = registration
-        stored(env, registration, dict, "registration")
+        get_or_create(env, registration, dict, "registration")
         self._keys: dict[str, None] = {}
         self._registry = [(env.scene_entity(entry.entity_cfg), entry) for entry in registry]
         self._steps = _UPDATE_STEPS if sim_update else 0
@@ -236,12 +247,12 @@ class RegisterInfoToEnv(Term):
         """Set an entry; for a tensor (N, ...) only the rows of these environments."""
         table: dict[str, Any] = getattr(self._env, self._table)
         self._keys[key] = None
-        old: Any = table.get(key)
-        both = hasattr(value, "detach") and hasattr(old, "detach")
-        rows = env_ids is not None and both and len(value) == self._env.num_envs
-        if rows and old.shape == value.shape:
+        earlier: Any = table.get(key)
+        are_tensors = hasattr(value, "detach") and hasattr(earlier, "detach")
+        has_rows = are_tensors and len(value) == self._env.num_envs
+        if env_ids is not None and has_rows and earlier.shape == value.shape:
             arrays = self._env.arrays
-            merged = arrays.of(old).copy()  # references to the old tensor keep its values
+            merged = arrays.of(earlier).copy()  # references to the earlier tensor keep its values
             merged[env_ids] = arrays.of(value)[env_ids]
             value = tensor_of(merged)
         table[key] = value
@@ -259,39 +270,46 @@ class RegisterInfoToEnv(Term):
     def _put_attrs(
         self, uid: str, attrs: list[str], prefix: bool, env_ids: EnvIndex | None
     ) -> None:
-        extra = getattr(self._env, EXTRA_ATTRS, {}).get(uid, {})
+        """Copy attributes of an entity: extra ones, else those of its handle."""
+        extra_attrs = getattr(self._env, EXTRA_ATTRS, {}).get(uid, {})
         handle = self._env.sim.get_asset(uid)
         for attr in attrs:
-            if attr in extra:
-                value = extra[attr]
+            if attr in extra_attrs:
+                value = extra_attrs[attr]
             elif not attr.startswith("_") and hasattr(handle, attr):
                 value = getattr(handle, attr)
-                value = value() if callable(value) else value
+                if callable(value):
+                    value = value()
             else:
                 message = (
                     f"{uid!r} has no attribute {attr!r}, and prepare_extra_attr made none; it made "
-                    f"{', '.join(extra) or 'nothing'}"
+                    f"{', '.join(extra_attrs) or 'nothing'}"
                 )
                 raise ConfigError([Problem("attrs", message)])
-            self._put(f"{uid}_{attr}" if prefix else attr, value, env_ids)
+            key = f"{uid}_{attr}" if prefix else attr
+            self._put(key, value, env_ids)
 
-    def _put_pose(self, entity: ResolvedEntity, how: PoseParams, env_ids: EnvIndex | None) -> None:
+    def _put_pose(
+        self, entity: ResolvedEntity, params: PoseParams, env_ids: EnvIndex | None
+    ) -> None:
         """Copy the pose of an entity, and others in its frame."""
         env = self._env
         uid = entity.uid
-        name = uid if entity.frame_name is None else f"{uid}_{entity.frame_name}"
+        name = uid
+        if entity.frame_name is not None:
+            name = f"{uid}_{entity.frame_name}"
         pos = entity.position()
         quat = entity.orientation()
         poses = {f"{name}_pose": (pos, quat)}
         inverse = quat_conjugate(quat)
-        for other_uid in _uids_of(env, how.compute_relative, "compute_relative"):
+        for other_uid in _uids_of(env, params.compute_relative, "compute_relative"):
             if other_uid == uid:
                 continue
             other = env.scene_entity({"uid": other_uid})
             relative_pos = quat_rotate(inverse, other.position() - pos)
             relative_quat = quat_multiply(inverse, other.orientation())
             poses[f"{other_uid}_pose_{name}"] = (relative_pos, relative_quat)
-        if how.compute_pose_object_to_arena:
+        if params.compute_pose_object_to_arena:
             for attr, value in getattr(env, EXTRA_ATTRS, {}).get(uid, {}).items():
                 if attr.endswith("_pose_object"):
                     part_pos, part_quat = _as_pose(env.arrays.of(value), len(pos))
@@ -301,7 +319,8 @@ class RegisterInfoToEnv(Term):
                     poses[f"{uid}_{attr.removesuffix('_object')}"] = (arena_pos, arena_quat)
         for key, pose in poses.items():
             values = np.concatenate(pose, axis=1)
-            values = pose_to_matrix(values) if how.to_matrix else values
+            if params.to_matrix:
+                values = pose_to_matrix(values)
             self._put(key, tensor_of(values.astype(np.float32)), env_ids)
 
 
@@ -353,23 +372,23 @@ def _poses(
         to_matrix: (N, 4, 4) matrices, else (N, 7) x, y, z, qw, qx, qy, qz; float32, metres.
     """
     _uids_of(env, compute_relative, "compute_relative")
-    how = PoseParams(compute_relative, compute_pose_object_to_arena, to_matrix)
-    return [Registry(entity_cfg, pose_register_params=how)]
+    params = PoseParams(compute_relative, compute_pose_object_to_arena, to_matrix)
+    return [Registry(entity_cfg, pose_register_params=params)]
 
 
-_ONE: Final[Mapping[str, Any]] = {"only": ("registration",), "sim_update": False}
+_FOR_ONE_ENTITY: Final[Mapping[str, Any]] = {"only": ("registration",), "sim_update": False}
 register_aliases(
     {
         "register_entity_attrs": alias(
             "register_info_to_env",
             registry=_attrs,
-            **_ONE,
+            **_FOR_ONE_ENTITY,
             example="{of: {uid: cube}, attrs: [get_body_scale]}",
         ),
         "register_entity_pose": alias(
             "register_info_to_env",
             registry=_poses,
-            **_ONE,
+            **_FOR_ONE_ENTITY,
             example="{of: {uid: cube}, compute_relative: all_robots}",
         ),
     },

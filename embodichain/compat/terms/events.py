@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._targets import RigidObject, asset_of, stored
+from embodichain.compat.terms._targets import RigidObject, asset_of, get_or_create
 from embodichain.lab.gym.envs.managers.param_types import (
     Arm,
     Axes6,
@@ -87,9 +87,10 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         max_attempts: Annotated[int, Field(ge=1)] = 64,
     ) -> None:
         if control_part is not None:
-            picked = {"uid": robot_cfg.uid, "control_parts": control_part}
-            tool = {} if robot_cfg.frame_name is None else {robot_cfg.kind: robot_cfg.frame_name}
-            robot_cfg = env.scene_entity(picked | tool)
+            reference = {"uid": robot_cfg.uid, "control_parts": control_part}
+            if robot_cfg.frame_name is not None:
+                reference[robot_cfg.kind] = robot_cfg.frame_name
+            robot_cfg = env.scene_entity(reference)
         env.arrays.require_host("searches for joint positions")
         self._arm = arm_solver(robot_cfg, "robot_cfg")
         self._robot = robot_cfg.asset
@@ -100,30 +101,29 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         self._position = Uniform("position", box[0], box[1])
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         self._attempts = max_attempts
-        count = env.num_envs
-        self._home: Floats = np.tile(
-            np.asarray(self._robot.parsed.init_qpos, np.float64), (count, 1)
-        )
+        init_qpos = np.asarray(self._robot.parsed.init_qpos, np.float64)
+        self._home: Floats = np.tile(init_qpos, (env.num_envs, 1))
         self._quat0 = _initial_quats(env, self._asset)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw positions until each of these environments has one; place the object."""
         unsolved: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids
-        places: Floats = np.zeros((env.num_envs, 3))
+        positions: Floats = np.zeros((env.num_envs, 3))
         solved_ids = []
         for _ in range(self._attempts):
             pos = self._position(env.event_manager, unsolved)
             _, solved = self._arm.inverse(self._home[unsolved], pos, None, unsolved, restarts=False)
-            places[unsolved[solved]] = pos[solved]
+            positions[unsolved[solved]] = pos[solved]
             solved_ids.append(unsolved[solved])
             unsolved = unsolved[~solved]
             if not len(unsolved):
                 break
         ids = np.sort(np.concatenate(solved_ids))
         if len(ids):
-            self._place(env, places[ids], ids)
+            self._place(env, positions[ids], ids)
 
     def _place(self, env: TermContext, pos: Floats, ids: EnvIndex) -> None:
+        """Place the object, turned by a draw from its initial orientation."""
         quat = self._quat0[: len(ids)]
         if self._rotation is not None:
             angles = self._rotation(env.event_manager, ids)
@@ -204,8 +204,8 @@ def _centres(box: Box2, rows: int, columns: int, height: float) -> Floats:
 class RandomizeAnchorHeight(Term):
     """Raises an anchor (a table) by a random height, and every dynamic object with it.
 
-    The anchor's height is its initial one, on a terrain above the ground, plus the draw; dynamic objects move by as much as the
-    anchor does.
+    The anchor's height is its initial one, on a terrain above the ground, plus the draw; dynamic
+    objects move by as much as the anchor does.
 
     Args:
         anchor_uid: A rigid object, or a robot or articulation.
@@ -246,11 +246,11 @@ class RandomizeAnchorHeight(Term):
         bounds: Any = height_delta_range
         if height_delta_candidates is not None:
             self._candidates = np.asarray(height_delta_candidates, np.float64)
-            bounds = 0.0, float(len(self._candidates))
+            bounds = (0.0, float(len(self._candidates)))  # the index of one of them
         self._height = Uniform("height", [bounds[0]], [bounds[1]])
         self._delta: Floats = env.arrays.full(env.num_envs, 0.0)
         if store_key is not None:
-            stored(env, store_key, lambda: tensor_of(self._heights()), "store_key")
+            get_or_create(env, store_key, lambda: tensor_of(self._heights()), "store_key")
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Clear the draws, as a reset restores the configured heights."""
@@ -273,6 +273,7 @@ class RandomizeAnchorHeight(Term):
         self._publish()
 
     def _publish(self) -> None:
+        """Store the heights as an attribute of the environment."""
         if self._key is not None:
             setattr(self._env, self._key, tensor_of(self._heights()))
 
@@ -293,8 +294,7 @@ class RandomizeAnchorHeight(Term):
 class RandomizeTargetPose(Term):
     """Draws a target pose and stores it as ``env.<store_key>``, (N, 4, 4) float32 matrices.
 
-    Terms such as `distance_to_target` read it there. Until
-    the first draw the pose is the identity.
+    Terms such as `distance_to_target` read it there. Until the first draw the pose is the identity.
 
     Args:
         position_range: [[x, y, z] low, [x, y, z] high] in metres.
@@ -320,9 +320,15 @@ class RandomizeTargetPose(Term):
         reference_entity_cfg: Body | None = None,
         store_key: str = "target_pose",
     ) -> None:
-        if reference_entity_cfg is None and (relative_position or relative_rotation):
-            name = "relative_position" if relative_position else "relative_rotation"
-            raise ConfigError([Problem(name, "needs reference_entity_cfg: relative to what?")])
+        if reference_entity_cfg is None:
+            relative_params = {
+                "relative_position": relative_position,
+                "relative_rotation": relative_rotation,
+            }
+            for name, is_relative in relative_params.items():
+                if is_relative:
+                    message = "needs reference_entity_cfg: relative to what?"
+                    raise ConfigError([Problem(name, message)])
         self._env = env
         self._key = store_key
         self._reference = reference_entity_cfg
@@ -331,22 +337,24 @@ class RandomizeTargetPose(Term):
         self._position = Uniform("position", *position_range)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         count = env.num_envs
-        unturned = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (count, 1))
-        self._unturned: Floats = env.arrays.put(unturned)
-        first = tensor_of(env.arrays.put(np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))))
-        stored(env, store_key, lambda: first, "store_key")
+        identity_quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (count, 1))
+        self._identity_quats: Floats = env.arrays.put(identity_quats)
+        identities = np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))
+        first_poses = tensor_of(env.arrays.put(identities))
+        get_or_create(env, store_key, lambda: first_poses, "store_key")
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw the target poses of these environments."""
         where: Any = slice(None) if env_ids is None else env_ids
         pos = self._position(env.event_manager, env_ids)
-        quat = self._unturned[: len(pos)]
+        quat = self._identity_quats[: len(pos)]
         if self._reference is not None:
-            pos = self._reference.position()[where] + pos if self._moves else pos
             quat = self._reference.orientation()[where]
+            if self._moves:
+                pos = self._reference.position()[where] + pos
         if self._rotation is not None:
-            turn = euler_xyz_to_quat(self._rotation(env.event_manager, env_ids))
-            quat = quat_multiply(quat, turn) if self._turns else turn
+            rotation = euler_xyz_to_quat(self._rotation(env.event_manager, env_ids))
+            quat = quat_multiply(quat, rotation) if self._turns else rotation
         matrices = pose_to_matrix(np.concatenate([pos, quat], axis=1))
         # A new tensor: references to the old one keep its values.
         poses = env.arrays.of(getattr(env, self._key)).copy()

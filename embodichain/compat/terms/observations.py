@@ -57,7 +57,9 @@ def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: boo
         ``{func: get_object_pose, params: {of: {uid: cube}, to_matrix: false}}``
     """
     pose = np.concatenate([entity_cfg.position(), entity_cfg.orientation()], axis=1)
-    return pose_to_matrix(pose) if to_matrix else pose
+    if to_matrix:
+        return pose_to_matrix(pose)
+    return pose
 
 
 @quantity("observation")
@@ -129,8 +131,7 @@ def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: Whole) -> torc
     """
     asset = entity_cfg.asset
     if hasattr(asset, "get_body_scale"):
-        scale: torch.Tensor = asset.get_body_scale()
-        return scale
+        return asset.get_body_scale()
     import torch
 
     scale = torch.tensor(asset.cfg.body_scale, dtype=torch.float32, device=env.device)
@@ -166,7 +167,7 @@ def get_rigid_object_physics_attributes(
 
     Args:
         entity_cfg: The object.
-        attributes: Which, in the order wanted.
+        attributes: The properties, in the order of the columns.
 
     Example:
         ``{func: get_rigid_object_physics_attributes, params: {of: {uid: cube}}}``
@@ -189,7 +190,7 @@ def get_articulation_joint_drive(
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
-        gains: Which properties, in the order wanted.
+        gains: The properties, in the order of the columns.
 
     Example:
         ``{func: get_articulation_joint_drive, params: {of: {uid: ur10}, gains:
@@ -239,17 +240,22 @@ class NormalizeRobotJointData(Term):
         self._columns = _active_columns(env, active, joint_ids, control_parts)
         joints = joints_of(env, joint_ids=[active[column] for column in self._columns])
         self._ids = np.asarray(joints.joint_ids, np.int64)
+        # Position limits may change while the task runs; the others are the file's.
         self._drives = joints.asset.drives if limit == "qpos_limits" else None
         limits: Floats = np.asarray(getattr(joints.asset.parsed, limit), np.float64)[self._ids]
         if self._drives is None:  # 0 in a file means that no velocity or effort limit is given
             limits = np.stack([-limits, np.where(limits > 0, limits, np.inf)], axis=1)
-        limited = np.isfinite(limits)
-        self._turning = ~limited.any(axis=1) & joints.hinges() & (self._drives is not None)
         self._limits = limits
-        named = zip(joints.joint_names, limited.all(axis=1) | self._turning, strict=True)
-        missing = [name for name, fine in named if not fine]
-        if missing:
-            message = f"joints of {joints.uid!r} without {limit}: {', '.join(missing)}"
+        is_limited = np.isfinite(limits)
+        self._is_continuous = np.zeros(len(self._ids), np.bool_)
+        if self._drives is not None:
+            self._is_continuous = ~is_limited.any(axis=1) & joints.hinges()
+        has_range = is_limited.all(axis=1) | self._is_continuous
+        unlimited_joints = [
+            name for name, ok in zip(joints.joint_names, has_range, strict=True) if not ok
+        ]
+        if unlimited_joints:
+            message = f"joints of {joints.uid!r} without {limit}: {', '.join(unlimited_joints)}"
             raise ConfigError([Problem("limit", message)])
         self._start = float(range[0])
         self._span = float(range[1]) - float(range[0])
@@ -265,29 +271,46 @@ class NormalizeRobotJointData(Term):
         low, high = self._limits.T
         if self._drives is not None:
             low, high = self._drives.limits.of(self._ids, None)
-            low = np.where(self._turning, -np.pi, low)
-            high = np.where(self._turning, np.pi, high)
-        picked = values[:, self._columns]
-        values[:, self._columns] = (picked - low) / (high - low) * self._span + self._start
+            low = np.where(self._is_continuous, -np.pi, low)
+            high = np.where(self._is_continuous, np.pi, high)
+        data_of_joints = values[:, self._columns]
+        values[:, self._columns] = (data_of_joints - low) / (high - low) * self._span + self._start
         return tensor_of(values.astype(np.float32))
 
 
 def _active_columns(
     env: TermContext, active: list[int], joint_ids: list[int] | None, control_parts: str | None
 ) -> list[int]:
-    """Columns among the active joints."""
+    """The columns that `NormalizeRobotJointData` maps, by its parameters.
+
+    Args:
+        env: The environment.
+        active: Ids of the active joints.
+        joint_ids: Columns among them.
+        control_parts: A control part, instead.
+
+    Raises:
+        ConfigError: A column does not exist, a joint of the part is not active, or both are given.
+    """
     if control_parts is None or env.robot is None:
         columns = list(range(len(active))) if joint_ids is None else joint_ids
-        wrong = [column for column in columns if not 0 <= column < len(active)]
-        if wrong:
-            message = f"columns of the {len(active)} active joints, numbered from 0; got {wrong}"
+        missing_columns = [column for column in columns if not 0 <= column < len(active)]
+        if missing_columns:
+            count = len(active)
+            message = (
+                f"columns of the {count} active joints, numbered from 0; got {missing_columns}"
+            )
             raise ConfigError([Problem("joint_ids", message)])
         return columns
     if joint_ids is not None:
         raise ConfigError([Problem("control_parts", "give either joint_ids or control_parts")])
     part = env.scene_entity({"uid": env.robot.uid, "control_parts": control_parts})
-    idle = [n for n, i in zip(part.joint_names, part.joint_ids, strict=True) if i not in active]
-    if idle:
-        message = f"joints of {control_parts!r} are not active: {', '.join(idle)}"
+    inactive_joints = [
+        name
+        for name, joint in zip(part.joint_names, part.joint_ids, strict=True)
+        if joint not in active
+    ]
+    if inactive_joints:
+        message = f"joints of {control_parts!r} are not active: {', '.join(inactive_joints)}"
         raise ConfigError([Problem("control_parts", message)])
-    return [active.index(i) for i in part.joint_ids]
+    return [active.index(joint) for joint in part.joint_ids]

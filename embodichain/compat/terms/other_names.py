@@ -270,8 +270,12 @@ _FRICTION: Final[Mapping[str, Any]] = {
 }
 _SCALE = ("same_scale_all_axes", "fixed_density", "distribution")
 _PLACE = (
-    *("position_range", "rotation_range", "relative_position", "relative_rotation"),
-    *("relative_to", "physics_update_step"),
+    "position_range",
+    "rotation_range",
+    "relative_position",
+    "relative_rotation",
+    "relative_to",
+    "physics_update_step",
 )
 
 EVENTS: Final[Mapping[str, Alias]] = {

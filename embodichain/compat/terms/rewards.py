@@ -70,8 +70,11 @@ def distance_between_objects(
 
 
 def _distance_to_target(env: TermContext, source: Body, key: str, use_xy_only: bool) -> Floats:
+    """(N,) distance in metres of an entity to a position that an event stores."""
     delta = target_position(env, key) - source.position()
-    return norm(delta[:, :2] if use_xy_only else delta)
+    if use_xy_only:
+        delta = delta[:, :2]
+    return norm(delta)
 
 
 @quantity("reward", "metric")
@@ -130,14 +133,21 @@ class IncrementalDistanceToTarget(Rate):
         use_xy_only: bool = False,
     ) -> None:
         super().__init__(env, "step")
-        self._target = env, source_entity_cfg, target_pose_key, use_xy_only
-        self._scale, self._weights = tanh_scale, (positive_weight, negative_weight)
+        self._env = env
+        self._source = source_entity_cfg
+        self._key = target_pose_key
+        self._use_xy_only = use_xy_only
+        self._scale = tanh_scale
+        self._positive_weight = positive_weight
+        self._negative_weight = negative_weight
 
     def __call__(self, values: Floats | None = None) -> Floats:
         """(N,) in (-negative_weight, positive_weight)."""
-        change = super().__call__(_distance_to_target(*self._target) if values is None else values)
-        progress = np.tanh(self._scale * -change)
-        return np.where(progress > 0.0, *self._weights) * progress
+        if values is None:
+            values = _distance_to_target(self._env, self._source, self._key, self._use_xy_only)
+        progress = np.tanh(self._scale * -super().__call__(values))
+        weights = np.where(progress > 0.0, self._positive_weight, self._negative_weight)
+        return weights * progress
 
 
 @quantity("reward", "metric", name="reaching_behind_object")
@@ -258,7 +268,7 @@ class JointLimitPenalty:
         margin: Annotated[float, Field(gt=0, le=0.5)] = 0.1,
         entity_cfg: ResolvedEntity | None = None,
     ) -> None:
-        self._joints = joints_of(env, robot_uid, joint_ids, None, entity_cfg)
+        self._joints = joints_of(env, robot_uid, joint_ids, entity_cfg=entity_cfg)
         self._margin = margin
         self._joints.qpos_limits()
 
@@ -266,7 +276,7 @@ class JointLimitPenalty:
         """(N,), not positive."""
         qpos = self._joints.qpos()
         low, high = self._joints.qpos_limits()
-        limited = np.isfinite(low) & np.isfinite(high)
-        width = np.subtract(high, low, where=limited, out=np.ones_like(low))
-        near = np.minimum(qpos - low, high - qpos) / width
-        return -total(np.where(limited, np.maximum(self._margin - near, 0.0), 0.0))
+        is_limited = np.isfinite(low) & np.isfinite(high)
+        width = np.subtract(high, low, where=is_limited, out=np.ones_like(low))
+        share = np.minimum(qpos - low, high - qpos) / width
+        return -total(np.where(is_limited, np.maximum(self._margin - share, 0.0), 0.0))

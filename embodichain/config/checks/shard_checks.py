@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from embodichain.config.keys.schema import PolicyCfg, RootCfg, SimCfg, Verb
+from embodichain.config.keys.schema import JobVerb, PolicyCfg, RootCfg, SimCfg
 from embodichain.lab.gym.envs.managers.terms.registry import Kind, resolve_term
 from embodichain.lab.sim.cfg import choose_engine
 from embodichain.utils.errors import ConfigError, Problem
@@ -18,7 +18,7 @@ _READ_SIMULATION = ("expert", "hold", "teleop")
 """Policies that read the simulation, which is not in the process where policies act."""
 
 
-def check_shards(root: RootCfg, verb: Verb, allow_import: bool) -> list[Problem]:
+def check_shards(root: RootCfg, verb: JobVerb, allow_import: bool) -> list[Problem]:
     """Check that a job can run in shards, if it is to.
 
     Args:
@@ -37,7 +37,7 @@ def check_shards(root: RootCfg, verb: Verb, allow_import: bool) -> list[Problem]
     return [*_check_root(root, verb), *_check_task(root, allow_import)]
 
 
-def _check_root(root: RootCfg, verb: Verb) -> Iterator[Problem]:
+def _check_root(root: RootCfg, verb: JobVerb) -> Iterator[Problem]:
     """Check keys besides the task."""
     sim = root.sim
     here = "sim.backend=ray"

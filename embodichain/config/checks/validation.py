@@ -28,13 +28,13 @@ from embodichain.config.composition.locate import COMMAND_LINE, Locator
 from embodichain.config.composition.yaml_words import quoting
 from embodichain.config.keys.check_types import TypeCheck, check_types
 from embodichain.config.keys.schema import (
+    JOB_VERBS,
     LARGEST_TRAINING_SEED,
     SUGGESTED_KEYS,
-    VERBS,
+    JobVerb,
     PolicyCfg,
     RootCfg,
     SimCfg,
-    Verb,
 )
 from embodichain.config.keys.viewers import NO_VIEWER, VIEWERS
 from embodichain.config.run_folder import CHECKPOINT, checkpoint_of, newest_run
@@ -79,7 +79,7 @@ class Check:
     notes: tuple[Problem, ...] = ()
 
 
-def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
+def validate(composed: Composed, verb: JobVerb = "run") -> list[Problem]:
     """Return every mistake of a composed config, from composing it to compiling its scene.
 
     Args:
@@ -92,7 +92,7 @@ def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
     return _located(_mistakes_in_model(check.types.root, check.scene, ()), composed.source)
 
 
-def check_composed(composed: Composed, verb: Verb) -> Check:
+def check_composed(composed: Composed, verb: JobVerb) -> Check:
     """Check a whole composed config, with the task's suggestions for a verb."""
     if not composed.usable:
         types = check_types({**composed.tree, "task": {}})
@@ -121,7 +121,7 @@ def check_composed(composed: Composed, verb: Verb) -> Check:
 def check_tree(
     tree: Mapping[str, Any],
     source: Callable[[str], str],
-    verb: Verb = "run",
+    verb: JobVerb = "run",
     *,
     chosen: Chosen | None = None,
     lost: Sequence[str] = (),
@@ -220,7 +220,7 @@ def _read_scene(root: RootCfg, missing: Sequence[str], allow_import: bool) -> De
 
 def _check_meaning(
     root: RootCfg,
-    verb: Verb,
+    verb: JobVerb,
     missing: Sequence[str],
     allow_import: bool,
     scene: DeclaredScene | None,
@@ -383,7 +383,7 @@ def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
 def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
     """Check `task.suggested.VERB` as values of root keys."""
     problems: list[Problem] = []
-    for verb in VERBS:
+    for verb in JOB_VERBS:
         allowed = list(SUGGESTED_KEYS)
         if verb == "train":
             allowed.append("algo")
@@ -415,7 +415,7 @@ def _check_engine(root: RootCfg) -> list[Problem]:
     return problems
 
 
-def _check_backend(root: RootCfg, verb: Verb, allow_import: bool) -> list[Problem]:
+def _check_backend(root: RootCfg, verb: JobVerb, allow_import: bool) -> list[Problem]:
     """Check what a job in shards cannot do, and keys that only have a meaning with shards."""
     sim = root.sim
     default = SimCfg()
@@ -516,7 +516,9 @@ def _check_checkpoint(root: RootCfg, path: Path) -> Any:
     return lambda obs, env: None
 
 
-def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None) -> dict[str, Any]:
+def _with_suggestions(
+    tree: Mapping[str, Any], verb: JobVerb, chosen: Chosen | None
+) -> dict[str, Any]:
     """A copy with the task's suggestions for null keys; see `check_tree`."""
     filled = copy.deepcopy(dict(tree))
     suggested = _suggested(filled, verb)
@@ -538,7 +540,7 @@ def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None
     return filled
 
 
-def _suggested(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
+def _suggested(tree: Mapping[str, Any], verb: JobVerb) -> dict[str, Any]:
     """The task's suggestions for a verb; empty if it has none."""
     node: Any = tree
     for key in ("task", "suggested", verb):

@@ -189,7 +189,9 @@ class TooDeepError(yaml.MarkedYAMLError):
 
     def __init__(self, path: Path) -> None:
         mark = yaml.Mark(str(path), 0, 0, 0, None, 0)
-        super().__init__(problem="nested too deeply, or an alias is in itself", problem_mark=mark)
+        super().__init__(
+            problem="nested too deeply, or an alias contains itself", problem_mark=mark
+        )
 
 
 @dataclass(frozen=True)

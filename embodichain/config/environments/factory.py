@@ -26,7 +26,7 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import TermError
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.keys.schema import Verb
+    from embodichain.config.keys.schema import JobVerb
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 
@@ -222,7 +222,7 @@ _TRIED_STEPS = 3
 
 def with_warp_values(
     resolved: Resolved,
-    verb: Verb | None,
+    verb: JobVerb | None,
     kwargs: Mapping[str, Any] | None = None,
     *,
     compiled_scene: CompiledScene | None = None,

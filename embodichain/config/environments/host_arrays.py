@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from embodichain.config.keys.schema import PolicyCfg, RootCfg, Verb
+from embodichain.config.keys.schema import JobVerb, PolicyCfg, RootCfg
 from embodichain.config.resolved import Resolved, thaw
 from embodichain.lab.gym.policies import POLICIES
 
@@ -11,7 +11,7 @@ __all__ = ["why_host", "why_not_device", "with_arrays"]
 _PLANNED = ("expert", "teleop")
 
 
-def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
+def why_not_device(root: RootCfg, verb: JobVerb | None) -> list[str]:
     """Return why a job cannot have its arrays on the device, with the keys to change.
 
     Args:
@@ -33,7 +33,7 @@ def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
     return reasons
 
 
-def why_host(root: RootCfg, verb: Verb | None) -> list[str]:
+def why_host(root: RootCfg, verb: JobVerb | None) -> list[str]:
     """Return `why_not_device`, and what may read arrays of the host: functions of users.
 
     Args:

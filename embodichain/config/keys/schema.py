@@ -17,19 +17,19 @@ from embodichain.lab.sim.cfg import EngineName, WarpCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
+    "JOB_VERBS",
     "LARGEST_TRAINING_SEED",
     "ROOT_INSTEAD",
     "SUGGESTED_KEYS",
-    "VERBS",
     "CheckpointCfg",
     "CollectCfg",
     "EvalCfg",
+    "JobVerb",
     "PolicyCfg",
     "RayCfg",
     "RecordCfg",
     "RootCfg",
     "SimCfg",
-    "Verb",
     "VideoCfg",
     "ViewerCfg",
     "WandbCfg",
@@ -43,8 +43,9 @@ ROOT_INSTEAD = {
 }
 """Fields of `EnvCfg` that a task file must not set -> what to use instead."""
 
-Verb = Literal["run", "train", "collect"]
-VERBS: tuple[Verb, ...] = ("run", "train", "collect")
+JobVerb = Literal["run", "train", "collect"]
+JOB_VERBS: tuple[JobVerb, ...] = ("run", "train", "collect")
+"""Verbs of the command line with a root config of their name."""
 
 LARGEST_TRAINING_SEED = 2**32 - 1
 """Largest seed of numpy's global generator, which Stable-Baselines3 seeds."""

@@ -2,25 +2,30 @@
 
 import os
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from embodichain.cli import main
-from embodichain.cli.jobs.resuming import parsed_changes, resumed_folder, resumption, with_changes
+from embodichain.cli.jobs.resuming import (
+    find_resumed_folder,
+    parse_changes,
+    resuming_overrides,
+    with_changes,
+)
+from embodichain.cli.verb import JobOptions
 from embodichain.utils.errors import ConfigError
 
 pytestmark = pytest.mark.slow
 
 
-def options(*words: str, **flags: object) -> SimpleNamespace:
-    given = {"words": words, "multirun": False, "cfg": None, "info": None, "gym_config": None}
-    return SimpleNamespace(**{**given, "quiet": False, "json": False, **flags})
+def options(*words: str, **flags: Any) -> JobOptions:
+    return JobOptions(words=words, **flags)
 
 
 def test_changes_are_read_in_hydras_grammar() -> None:
     words = ["episodes=1_000", "collect.give_up_after=null", "record=none", "sim={num_threads: 2}"]
-    changes = parsed_changes(words, ("episodes", "collect"), "a resumed collection")
+    changes = parse_changes(words, ("episodes", "collect"), "a resumed collection")
     assert changes == {
         "episodes": 1000,
         "collect.give_up_after": None,
@@ -40,21 +45,20 @@ def test_changes_are_read_in_hydras_grammar() -> None:
 )
 def test_what_may_not_change_is_said(word: str, says: str) -> None:
     with pytest.raises(ConfigError) as error:
-        parsed_changes([word], ("total_timesteps", "eval"), "a resumed training")
+        parse_changes([word], ("total_timesteps", "eval"), "a resumed training")
     assert says in str(error.value)
 
 
 def test_every_key_that_may_not_change_is_said() -> None:
     with pytest.raises(ConfigError) as error:
-        parsed_changes(["seed=3", "policy=zero", "episodes=4"], ("episodes",), "a resumed run")
+        parse_changes(["seed=3", "policy=zero", "episodes=4"], ("episodes",), "a resumed run")
     assert [problem.path for problem in error.value.problems] == ["seed", "policy"]
 
 
 def test_changes_are_put_into_a_copy() -> None:
     tree = {"record": {"format": "mcap", "every": 1}, "episodes": 3, "video": None}
     changes = {"record": "none", "episodes": 4, "video.every": 2, "record.every": 5}
-    found = with_changes(tree, changes)
-    assert found == {
+    assert with_changes(tree, changes) == {
         "record": {"format": "none", "every": 5},
         "episodes": 4,
         "video": {"every": 2},
@@ -63,7 +67,7 @@ def test_changes_are_put_into_a_copy() -> None:
 
 
 def test_a_command_without_resume_resumes_nothing() -> None:
-    assert resumption(options("task=reach", "episodes=3")) is None
+    assert resuming_overrides(options("task=reach", "episodes=3")) is None
 
 
 @pytest.mark.parametrize(
@@ -75,22 +79,22 @@ def test_a_command_without_resume_resumes_nothing() -> None:
         (("resume=last",), {"gym_config": "gym.yaml"}),
     ],
 )
-def test_one_run_is_resumed_at_a_time(words: tuple[str, ...], flags: dict[str, object]) -> None:
+def test_one_run_is_resumed_at_a_time(words: tuple[str, ...], flags: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match="resume continues one run: no --multirun"):
-        resumption(options(*words, **flags))
+        resuming_overrides(options(*words, **flags))
 
 
 def test_the_folder_that_is_meant(tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
     with pytest.raises(ConfigError, match="is not a collection's folder: it has no config.yaml"):
-        resumed_folder(str(run), None, "collection")
+        find_resumed_folder(str(run), None, "collection")
     (run / "config.yaml").touch()
-    assert resumed_folder(str(run), None, "collection") == run
-    assert resumed_folder(os.path.relpath(run), None, "collection") == run
-    assert resumed_folder("last", run, "collection") == run
+    assert find_resumed_folder(str(run), None, "collection") == run
+    assert find_resumed_folder(os.path.relpath(run), None, "collection") == run
+    assert find_resumed_folder("last", run, "collection") == run
     with pytest.raises(ConfigError, match="there is no collection to resume yet"):
-        resumed_folder("last", None, "collection")
+        find_resumed_folder("last", None, "collection")
 
 
 @pytest.mark.parametrize("verb", ["train", "collect"])

@@ -101,12 +101,12 @@ def test_a_film_ends_and_plays(
 
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("form", ["csv", "parquet", "hdf5", "lerobot"])
-def test_an_export_is_whole_or_not_there(
+def test_an_export_is_complete_or_there_is_no_file(
     log: Path, start: Started, here: Path, number: signal.Signals, form: str
 ) -> None:
     process = start(".out.*.part*", "export", str(log), "--format", form, "-o", "out")
     err = ended(process, number)
-    assert "nothing was written, an export is whole or not there" in err
+    assert "nothing was written: an export is complete, or there is no file" in err
     assert list(here.iterdir()) == []
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from embodichain.cli import main
-from embodichain.cli.terminal.process import started, starting
+from embodichain.cli.terminal.process import end_startup, starting
 
 pytestmark = pytest.mark.slow
 
@@ -22,7 +22,7 @@ def look(obs, env):
 def test_garbage_waits_until_started() -> None:
     with starting():
         assert not gc.isenabled()
-        started()
+        end_startup()
         assert gc.isenabled()
     assert gc.isenabled()
 

@@ -352,6 +352,15 @@ COMPOSED = {
 }
 
 
+def test_components_of_a_robot_are_noted_in_the_order_of_the_file() -> None:
+    keys = ["wheel_type", "mass", "default_xpos", "colour", "axle", "brand"]
+    component = {"component_type": "arm", "urdf_path": "a.urdf", **dict.fromkeys(keys, 1)}
+    urdf = {"components": [component]}
+    conversion = convert({"robot": {"uid": "r", "urdf_cfg": urdf}})
+    paths = [note.path.rpartition(".")[2] for note in conversion.notes]
+    assert [path for path in paths if path in keys] == keys
+
+
 def test_compositions_of_release_0_3_are_refused() -> None:
     found = {p.path: p.message for p in convert(COMPOSED).problems}
     assert set(found) == {"environment", "embodiment", "scene"}

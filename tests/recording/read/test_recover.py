@@ -71,10 +71,10 @@ def test_a_recovered_log_verifies_and_says_where_it_ends(broken, tmp_path, capsy
     assert capsys.readouterr().out.endswith(f"{end}\n")
 
 
-def test_a_whole_log_is_copied_and_stays_whole(record, tmp_path, capsys):
+def test_recover_copies_a_complete_log(record, tmp_path, capsys):
     path = record()
     assert main(["recover", str(path), str(tmp_path / "copy.mcap")]) == 0
-    assert "is whole; copied" in capsys.readouterr().out
+    assert "is complete; copied" in capsys.readouterr().out
     assert messages(tmp_path / "copy.mcap") == messages(path)
     assert inspect(tmp_path / "copy.mcap").complete
     assert verify(tmp_path / "copy.mcap").notes == []

@@ -32,6 +32,7 @@ def test_replay_lists_episodes_with_a_step_in_the_range(record, capsys, options,
     assert len(listed) == len(expected)
 
 
-def test_a_range_is_not_for_verify(record, capsys):
-    assert main(["replay", str(record()), "--verify", "--from", "3"]) == 2
+@pytest.mark.parametrize("first_step", ["3", "0"])
+def test_a_range_is_not_for_verify(record, capsys, first_step):
+    assert main(["replay", str(record()), "--verify", "--from", first_step]) == 2
     assert "--verify needs every step before" in capsys.readouterr().err

@@ -47,15 +47,15 @@ def collect_job(job: Job) -> float | None:
     from embodichain.recording.demos.collection import CollectionWriter
 
     root = job.root
-    about = {
+    facts = {
         "task": job.resolved.task_name,
         "folder": str(job.folder),
         "seed": root.seed,
         "policy": policy_name(root),
     }
     with CollectionWriter(job.folder) as writer:
-        with failure_in_summary(job, about):
-            summary = about | _collect(job, writer)
+        with failure_in_summary(job, facts):
+            summary = facts | _collect(job, writer)
         write_summary(job, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= job.film(summary["log"])
@@ -64,12 +64,12 @@ def collect_job(job: Job) -> float | None:
     elif not root.quiet:
         print_facts(str(summary["task"]), collection_rows(summary))
     if summary["status"] == "gave_up":
-        most = next(iter(summary["failed_in"]))
-        count = root.collect.give_up_after
-        message = f"gave up after {count} failures in a row, most of all: {most}"
-        raise CollectionError(f"{message} (collect.give_up_after)")
-    share: float | None = summary["yield"]
-    return share
+        most_frequent = next(iter(summary["failed_in"]))
+        raise CollectionError(
+            f"gave up after {root.collect.give_up_after} failures in a row, most of all: "
+            f"{most_frequent} (collect.give_up_after)"
+        )
+    return summary["yield"]
 
 
 def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
@@ -93,12 +93,16 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
     if earlier_episodes and collected.successes >= num_successes:
         logs = sorted({episode.log for episode in earlier_episodes})
         log = str(job.folder / earlier_episodes[-1].log)
-        return _counted(job, collected, 0, 0, 0.0) | {"log": log, "logs": logs}
+        results = _results(job, collected, num_envs=0, steps=0, seconds=0.0)
+        return results | {"log": log, "logs": logs}
     attempts = Attempts(num_successes, succeeded, failed)
-    count = min(root.num_envs or 1, num_successes - collected.successes)
+    # No more environments than successes are missing: the others would play for nothing.
+    num_envs = min(root.num_envs or 1, num_successes - collected.successes)
     name = new_log(job.folder, LOG)
-    run_dir = job.folder if name == LOG else job.folder / Path(name).stem
-    resolved = job.resolved.changed(num_envs=count)
+    run_dir = job.folder
+    if name != LOG:  # files of this start beside those of earlier ones
+        run_dir = job.folder / Path(name).stem
+    resolved = job.resolved.changed(num_envs=num_envs)
     env = make_env(
         resolved,
         compiled_scene=job.compiled_scene,
@@ -125,16 +129,16 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
             collected=collected,
         )
         job.begin()
-        counted = _play(job, env, collector)
+        results = _play(job, env, collector)
     finally:
         env.close()  # finishes the log too
     log = recorder.stats.path
     logs = sorted({episode.log for episode in earlier_episodes} | {log.name})
-    return counted | {"log": str(log), "logs": logs}
+    return results | {"log": str(log), "logs": logs}
 
 
 def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
-    """Collect until the collection is complete, or something ends it; returns what was counted."""
+    """Collect until the collection is complete, or something ends it; returns the results."""
     root = job.root
     stop = job.stop
     collected = collector.collected
@@ -173,14 +177,22 @@ def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
             collector.write()
         seconds = time.perf_counter() - start
         display.show(collected.successes, _facts(collected, num_successes, rate()))
-    counted = _counted(job, collected, env.num_envs, steps, seconds)
-    return counted | {"status": status, "episodes_per_minute": round(60 * rate(), 3)}
+    results = _results(job, collected, num_envs=env.num_envs, steps=steps, seconds=seconds)
+    return results | {"status": status, "episodes_per_minute": round(60 * rate(), 3)}
 
 
-def _counted(
-    job: Job, collected: Collected, num_envs: int, steps: int, seconds: float
+def _results(
+    job: Job, collected: Collected, *, num_envs: int, steps: int, seconds: float
 ) -> dict[str, Any]:
-    """What a summary counts, of a collection that is complete."""
+    """The part of `summary.json` about the episodes of a collection that is complete.
+
+    Args:
+        job: The job.
+        collected: Numbers of all its episodes, those of earlier starts among them.
+        num_envs: Number of environments of this start.
+        steps: Control steps of this start.
+        seconds: Its duration.
+    """
     return {
         "status": "finished",
         "signal": job.stop.stopped,

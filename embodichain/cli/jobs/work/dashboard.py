@@ -68,9 +68,9 @@ class Dashboard(ProgressDisplay):
             facts["return"] = f"{statistics.mean_return:.3g}"
         if statistics.success_rate is not None:
             facts["success"] = f"{statistics.success_rate:.0%}"
-        self.show(statistics.env_steps, facts, lambda: self._drawn(statistics))
+        self.show(statistics.env_steps, facts, lambda: self._draw(statistics))
 
-    def _drawn(self, statistics: TrainStatistics) -> RenderableType:
+    def _draw(self, statistics: TrainStatistics) -> RenderableType:
         from rich.table import Table
 
         done = statistics.env_steps

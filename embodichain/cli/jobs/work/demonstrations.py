@@ -67,16 +67,20 @@ def _episodes(
         names = [names]
     paths = [Path(name) for name in names]
     try:
-        checked: Path | None = None
+        checked_folder: Path | None = None
         for episode in read_episodes(paths, progress=progress):
-            if episode.path.parent != checked:  # the logs of a folder are of one task
-                checked = episode.path.parent
+            if episode.path.parent != checked_folder:  # the logs of a folder are of one task
+                checked_folder = episode.path.parent
                 _check_task(episode.path, env, allow=root.allow_changed)
             yield episode
     except LogError as error:
         raise ConfigError([Problem("dataset", str(error))]) from error
     except ConfigError as error:
-        problems = [p if p.path else Problem("dataset", p.message) for p in error.problems]
+        problems: list[Problem] = []
+        for problem in error.problems:
+            if not problem.path:
+                problem = Problem("dataset", problem.message)
+            problems.append(problem)
         raise ConfigError(problems) from error
 
 
@@ -87,10 +91,10 @@ def _check_task(log: Path, env: BaseEnv, *, allow: bool) -> None:
     from embodichain.recording.demos.reenactment import config_of
     from embodichain.recording.read.recorded_log import RecordedLog
 
-    with RecordedLog(log) as opened:
-        recorded = make_env(config_of(opened))
+    with RecordedLog(log) as opened_log:
+        recorded_env = make_env(config_of(opened_log))
     try:
-        before = TaskDigest.of(recorded)
+        recorded_task = TaskDigest.of(recorded_env)
     finally:
-        recorded.close()
-    check_unchanged(str(log), before, env, "policy", allow=allow, made="recording")
+        recorded_env.close()
+    check_unchanged(str(log), recorded_task, env, "policy", allow=allow, made="recording")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -49,16 +50,17 @@ def evaluation_config(resolved: Resolved, plan: EvaluationPlan, *, trim: bool = 
     """
     from embodichain.learning.evaluation.evaluation import EVAL_SEED_OFFSET
 
-    count = int(resolved.tree["num_envs"])
+    num_envs = int(resolved.tree["num_envs"])
     if trim:
-        count = min(count, plan.episodes)
+        num_envs = min(num_envs, plan.episodes)
     record = resolved.root.record
-    beyond = [i for i in record.view_envs if i >= count]
-    if beyond and record.format != "none":
-        message = f"no such environments: {beyond}; the evaluation has {count}"
+    missing_envs = [i for i in record.view_envs if i >= num_envs]
+    if missing_envs and record.format != "none":
+        message = f"no such environments: {missing_envs}; the evaluation has {num_envs}"
         raise ConfigError([Problem("record.view_envs", message)])
-    episodes = -(-plan.episodes // count)
-    return resolved.changed(num_envs=count, episodes=episodes, seed=EVAL_SEED_OFFSET + plan.seed)
+    episodes = math.ceil(plan.episodes / num_envs)
+    seed = EVAL_SEED_OFFSET + plan.seed
+    return resolved.changed(num_envs=num_envs, episodes=episodes, seed=seed)
 
 
 def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:
@@ -99,7 +101,7 @@ def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:
         "policy": job.root.policy,
         "deterministic": plan.deterministic,
         "folder": str(job.folder),
-        "log": str(recorder.stats.path) if recorder is not None else None,
+        "log": None if recorder is None else str(recorder.stats.path),
         "changed": [str(change) for change in getattr(policy, "changed", ())],
         **evaluation.as_dict(),
     }
@@ -109,11 +111,14 @@ def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:
 
 
 def _facts(counted: EpisodeStatistics) -> dict[str, str]:
-    facts = {"step": f"{counted.steps}"}
-    for name, form in (("return", ".3g"), ("success", ".0%")):
-        mean = counted.mean(name)
-        if mean is not None:
-            facts[name] = format(mean, form)
+    """The numbers shown beside the progress bar."""
+    facts = {"step": str(counted.steps)}
+    mean_return = counted.mean("return")
+    success = counted.mean("success")
+    if mean_return is not None:
+        facts["return"] = f"{mean_return:.3g}"
+    if success is not None:
+        facts["success"] = f"{success:.0%}"
     return facts
 
 
@@ -121,4 +126,6 @@ def objective_of(result: Mapping[str, Any]) -> float | None:
     """Return the objective for a sweeper: the success rate, else the mean return."""
     if result["success"] is not None:
         return float(result["success"]["rate"])
-    return None if result["returns"] is None else float(result["returns"]["mean"])
+    if result["returns"] is not None:
+        return float(result["returns"]["mean"])
+    return None

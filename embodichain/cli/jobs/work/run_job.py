@@ -29,7 +29,11 @@ _log = logging.getLogger(__name__)
 
 
 def run_job(job: Job) -> float | None:
-    """Build, roll out, close and summarize; a failure is written to `summary.json` too."""
+    """Build, roll out, close and summarize; a failure is written to `summary.json` too.
+
+    Returns:
+        The mean return, the objective for a sweeper.
+    """
     root = job.root
     policy = root.policy
     if policy is not None and not isinstance(policy, str):
@@ -42,23 +46,31 @@ def run_job(job: Job) -> float | None:
     }
     with failure_in_summary(job, facts):
         results, log = _simulate(job)
+    log_path = None
     if log is not None:
-        facts["log"] = str(log.path)
+        log_path = log.path
+        facts["log"] = str(log_path)
         facts["log_bytes"] = log.nbytes
     summary = {**facts, **results}
     write_summary(job, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
-    summary |= job.film(None if log is None else log.path)
+    summary |= job.film(log_path)
     if root.json:
         print_json(summary)
     elif not root.quiet:
         print_facts(str(summary["task"]), run_rows(summary))
     returns = summary["return"]
-    return None if returns is None else returns["mean"]
+    if returns is None:
+        return None
+    return returns["mean"]
 
 
 def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
-    """Build, roll out and close; returns the summary and what was recorded."""
+    """Build, roll out and close.
+
+    Returns:
+        The statistics for `summary.json`, and what was recorded, if anything.
+    """
     from embodichain.config.environments.factory import make_batch
     from embodichain.learning.checkpoints.curriculum_stage import hold_at_stage
 
@@ -71,7 +83,8 @@ def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
         recorder = job.attach_log(env, quota=[root.episodes or 1] * env.num_envs)
         job.attach_viewer(env, policy)
         obs, _ = env.reset()
-        picture = _StartPicture(env) if root.scene_png else None
+        if root.scene_png:
+            picture = _StartPicture(env)
         job.begin()
         results = _roll_out(env, policy, obs, job)
     finally:
@@ -96,12 +109,10 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
     max_steps = job.root.max_steps
     stop = job.stop
     counted = EpisodeStatistics(env.num_envs, job.root.episodes or 1)
-    limit = float("inf") if max_steps is None else max_steps
     start = time.perf_counter()
-    status = "interrupted" if stop.is_stopped() else "finished"
-    with ProgressDisplay(
-        job.resolved.task_name, counted.wanted, episodes_of(env.num_envs), quiet=job.quiet
-    ) as display:
+    status = "finished"
+    unit = episodes_of(env.num_envs)
+    with ProgressDisplay(job.resolved.task_name, counted.wanted, unit, quiet=job.quiet) as display:
 
         def show() -> None:
             seconds = time.perf_counter() - start
@@ -113,21 +124,30 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
 
             steps = play_inside(job.root, env, counted) or steps
         if stop.is_stopped():  # while the environment was built: no step is made
+            status = "interrupted"
             steps = iter(())
         for _ in steps:
             if env.sim.is_window_open:  # in real time
                 time.sleep(max(0.0, start + counted.steps * env.step_dt - time.perf_counter()))
             if display.due:
                 show()
-            if not counted.complete and (stop.is_stopped() or counted.steps >= limit):
-                status = "interrupted" if stop.is_stopped() else "max_steps"
+            if counted.complete:  # `play` ends by itself
+                continue
+            if stop.is_stopped():
+                status = "interrupted"
+                break
+            if max_steps is not None and counted.steps >= max_steps:
+                status = "max_steps"
                 break
         seconds = time.perf_counter() - start
         show()
+    return {"status": status, "signal": stop.stopped, **_results(counted, seconds)}
+
+
+def _results(counted: EpisodeStatistics, seconds: float) -> dict[str, Any]:
+    """The part of `summary.json` about the episodes, which took some seconds."""
     env_steps = counted.steps * counted.num_envs
     return {
-        "status": status,
-        "signal": stop.stopped,
         "num_envs": counted.num_envs,
         "control_steps": counted.steps,
         "env_steps": env_steps,
@@ -148,8 +168,11 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
 
 def _facts(counted: EpisodeStatistics, max_steps: int | None, seconds: float) -> dict[str, str]:
     """The numbers shown beside the progress bar."""
-    steps = f"{counted.steps}/{max_steps}" if max_steps is not None else f"{counted.steps}"
-    facts = {"step": steps, "FPS": f"{counted.steps * counted.num_envs / seconds:,.0f}"}
+    steps = str(counted.steps)
+    if max_steps is not None:
+        steps += f"/{max_steps}"
+    fps = counted.steps * counted.num_envs / seconds
+    facts = {"step": steps, "FPS": f"{fps:,.0f}"}
     mean_return = counted.mean("return")
     success = counted.mean("success")
     if mean_return:  # a task without rewards always returns 0
@@ -163,7 +186,12 @@ def _spread(counted: EpisodeStatistics, name: str) -> dict[str, float] | None:
     column = counted.column(name)
     if not column.size:
         return None
-    return {name: float(getattr(column, name)()) for name in ("mean", "std", "min", "max")}
+    return {
+        "mean": float(column.mean()),
+        "std": float(column.std()),
+        "min": float(column.min()),
+        "max": float(column.max()),
+    }
 
 
 def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
@@ -172,32 +200,38 @@ def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
 
 
 def _failures(counted: EpisodeStatistics) -> dict[str, Any]:
-    """Of a planned policy: how many episodes failed in each step, and why the first of them did.
+    """How many episodes of an expert failed in each step, and why the first of them did.
 
     Every failure is a line of `run.log`.
     """
     if "failure" not in counted.names():
         return {}
-    steps: Counter[str] = Counter()
-    first: dict[str, str] = {}
-    columns = (counted.column(name) for name in ("env", "episode", "failure"))
-    for env, episode, failure in zip(*columns, strict=True):
+    failures_in_step: Counter[str] = Counter()
+    first_failure: dict[str, str] = {}
+    envs = counted.column("env")
+    episodes = counted.column("episode")
+    for env, episode, failure in zip(envs, episodes, counted.column("failure"), strict=True):
         if failure:
             _log.info("episode %d of environment %d failed: %s", episode, env, failure)
-            steps[failed_in(failure)] += 1
-            first.setdefault(failed_in(failure), failure)
-    listed = dict(steps.most_common())
-    return {"failed_in": listed, "failed_for": {step: first[step] for step in listed}}
+            step = failed_in(failure)
+            failures_in_step[step] += 1
+            first_failure.setdefault(step, failure)
+    most_first = dict(failures_in_step.most_common())
+    return {
+        "failed_in": most_first,
+        "failed_for": {step: first_failure[step] for step in most_first},
+    }
 
 
 class _StartPicture:
     """Environment 0 as it is at construction, rendered when the run ends."""
 
     def __init__(self, env: BaseEnv) -> None:
-        template: BaseEnv | None = getattr(env, "template", None)  # of a batch in shards
-        if template is not None:
+        template: BaseEnv | None = getattr(env, "template", None)
+        if template is not None:  # a batch in shards, whose states are in other processes
             template.reset()
-        self._data = (template or env).sim.engine.data_of(0)
+            env = template
+        self._data = env.sim.engine.data_of(0)
 
     def draw(self, path: Path) -> None:
         """Write the picture; warn if there is no OpenGL or the file cannot be written."""

@@ -1,4 +1,4 @@
-"""`summary.json` of a job: its results, or the error that it died of."""
+"""`summary.json` of a job: its results, or the error that ended it."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ def write_summary(job: Job, summary: Mapping[str, Any]) -> None:
 
 
 @contextmanager
-def failure_in_summary(job: Job, about: Mapping[str, Any]) -> Iterator[None]:
-    """Write a `summary.json` if what is done within dies of an exception; that is raised again.
+def failure_in_summary(job: Job, facts: Mapping[str, Any]) -> Iterator[None]:
+    """Write a `summary.json` about an exception that leaves the context, and raise it again.
 
     Args:
         job: The job.
-        about: What the summary says besides the error.
+        facts: What the summary says besides the error.
     """
     try:
         yield
     except Exception as error:
         try:
-            write_summary(job, {**about, "status": "failed", "error": repr(error)})
+            write_summary(job, {**facts, "status": "failed", "error": repr(error)})
         except OSError as second:  # a full disk fails here too; the first error is reported
             _log.warning("%s could not be written: %s", SUMMARY, second)
         raise

@@ -14,7 +14,7 @@ from embodichain.cli.jobs.work.evaluate_job import EvaluationPlan, evaluate_job,
 from embodichain.cli.jobs.work.summary_file import failure_in_summary
 from embodichain.cli.results.summaries import training_rows
 from embodichain.cli.terminal.output import print_facts, print_json
-from embodichain.cli.terminal.process import Interrupted, started
+from embodichain.cli.terminal.process import Interrupted, end_startup
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
@@ -27,27 +27,30 @@ _log = logging.getLogger(__name__)
 
 
 def train_job(job: Job) -> float | None:
-    """Train, evaluate the policy and print the results of both."""
+    """Train, evaluate the policy and print the results of both.
+
+    Returns:
+        The objective for a sweeper.
+    """
     episodes = job.root.eval.episodes
     seed = job.root.seed
     plan: EvaluationPlan | None = None
-    evaluated: Resolved | None = None
+    evaluation: Resolved | None = None
     if episodes and seed is not None:  # as `embodichain eval RUN`; checked before training
         plan = EvaluationPlan(episodes, seed)
-        evaluated = evaluation_config(job.resolved, plan)
-    summary = _learned(job) or _learn(job)
-    if plan is not None and evaluated is not None and summary["status"] == "finished":
-        summary |= _evaluate(job, evaluated, plan)
+        evaluation = evaluation_config(job.resolved, plan)
+    summary = _read_finished_summary(job) or _learn(job)
+    if plan is not None and evaluation is not None and summary["status"] == "finished":
+        summary |= _evaluate(job, evaluation, plan)
     if job.root.json:
         print_json(summary)
     elif not job.root.quiet:
         rows = [*training_rows(summary), ("folder", summary["folder"])]
         print_facts(str(summary["task"]), rows)
-    objective: float | None = summary["objective"]
-    return objective
+    return summary["objective"]
 
 
-def _learned(job: Job) -> dict[str, Any] | None:
+def _read_finished_summary(job: Job) -> dict[str, Any] | None:
     """The content of `summary.json` if the job learned to the end before it was started again."""
     from embodichain.cli.sweeps.sweep_jobs import read_summary
 
@@ -64,13 +67,13 @@ def _learn(job: Job) -> dict[str, Any]:
     from embodichain.config.run_folder import SUMMARY
     from embodichain.learning.training.train import train
 
-    started()
+    end_startup()
     root = job.root
-    algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
+    algo = DEFAULT_ALGORITHM if root.algo is None else root.algo.name
     task = job.resolved.task_name
-    about = {"task": task, "algo": algo, "seed": root.seed, "folder": str(job.folder)}
+    facts = {"task": task, "algo": algo, "seed": root.seed, "folder": str(job.folder)}
     dashboard = Dashboard(task, algo, root.total_timesteps or 0, quiet=job.quiet)
-    with failure_in_summary(job, about), dashboard as display:
+    with failure_in_summary(job, facts), dashboard as display:
 
         def progress(statistics: TrainStatistics) -> None:
             job.began.set()
@@ -81,7 +84,7 @@ def _learn(job: Job) -> dict[str, Any]:
 
         # Interrupted: checkpoint and summary have been written; the job ends with code 130.
         with suppress(Interrupted):
-            learned = train(
+            results = train(
                 job.resolved,
                 job.folder,
                 progress,
@@ -89,7 +92,7 @@ def _learn(job: Job) -> dict[str, Any]:
                 lambda env: read_dataset(job, env),
                 compiled_scene=job.compiled_scene,
             )
-            summary = job.resolved.record(dataclasses.asdict(learned))
+            summary = job.resolved.record(dataclasses.asdict(results))
             return {**summary, "folder": str(job.folder)}
     if not (job.folder / SUMMARY).is_file():
         message = f"interrupted ({job.stop.stopped}) before the first update"
@@ -98,16 +101,16 @@ def _learn(job: Job) -> dict[str, Any]:
     return {**summary, "folder": str(job.folder)}
 
 
-def _evaluate(job: Job, evaluated: Resolved, plan: EvaluationPlan) -> dict[str, Any]:
+def _evaluate(job: Job, resolved: Resolved, plan: EvaluationPlan) -> dict[str, Any]:
     """Evaluate the final checkpoint; returns the summary with the results."""
     from embodichain.config.environments.host_arrays import why_host, with_arrays
     from embodichain.config.run_folder import CHECKPOINT
     from embodichain.learning.training.train import add_evaluation
 
-    evaluated = evaluated.changed(policy=str((job.folder / CHECKPOINT).resolve()))
-    reasons = why_host(evaluated.root, "run")
-    if reasons and evaluated.root.sim.warp.arrays == "device":
-        evaluated = with_arrays(evaluated, "host")
+    resolved = resolved.changed(policy=str((job.folder / CHECKPOINT).resolve()))
+    reasons = why_host(resolved.root, "run")
+    if reasons and resolved.root.sim.warp.arrays == "device":
+        resolved = with_arrays(resolved, "host")
         _log.warning("the evaluation has arrays on the host, because %s", "; ".join(reasons))
-    result = evaluate_job(dataclasses.replace(job, resolved=evaluated), plan)
+    result = evaluate_job(dataclasses.replace(job, resolved=resolved), plan)
     return add_evaluation(job.folder, result) | job.film(result["log"])

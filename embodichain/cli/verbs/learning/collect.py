@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 from embodichain.cli.jobs.job import execute, start
-from embodichain.cli.jobs.resuming import resumed_collection, resumption
+from embodichain.cli.jobs.resuming import resolve_resumed_collection, resuming_overrides
 from embodichain.cli.jobs.work.collect_job import collect_job
 from embodichain.cli.sweeps.sweep_jobs import read_summary
 from embodichain.cli.terminal.output import print_json
@@ -32,16 +32,28 @@ __all__ = ["command"]
 @job_arguments("collect")
 def command(options: JobOptions) -> None:
     """Collect once, or once for each point of a sweep, or continue."""
-    lines = resumption(options)
+    lines = resuming_overrides(options)
     if lines is None:
         start("collect", collect_job, options)
-    else:
-        resolved, folder, done = resumed_collection(lines)
-        summed_up = read_summary(folder).get("status") == "finished"
-        if summed_up and done >= (resolved.root.episodes or 0):  # a loop that starts it again ends
-            what = f"{folder} has {done} successful episodes: episodes=N collects more"
-            sys.stderr.write(f"finished already: {what}\n")
-            if resolved.root.json:
-                print_json(read_summary(folder))
-            return
-        execute(resolved, collect_job, command_line(), folder, verb="collect", goes_on=True)
+        return
+    collection = resolve_resumed_collection(lines)
+    folder = collection.folder
+    root = collection.resolved.root
+    has_summary = read_summary(folder).get("status") == "finished"
+    if has_summary and collection.num_successes >= (root.episodes or 0):
+        # No error: a shell's loop that resumes until it succeeds ends here.
+        sys.stderr.write(
+            f"finished already: {folder} has {collection.num_successes} successful episodes: "
+            "episodes=N collects more\n"
+        )
+        if root.json:
+            print_json(read_summary(folder))
+        return
+    execute(
+        collection.resolved,
+        collect_job,
+        command_line(),
+        folder=folder,
+        verb="collect",
+        is_continued=True,
+    )

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,11 +15,14 @@ from embodichain.cli.results.comparison_tables import (
     seed_estimates,
     too_few_seeds,
 )
-from embodichain.cli.terminal.last import take_last
+from embodichain.cli.terminal.last import announce_last
 from embodichain.cli.terminal.output import print_json, print_table
 from embodichain.cli.verb import complete_last, verb
 from embodichain.config.run_folder import CHECKPOINT, newest_run, perhaps_last, whole_run
 from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.learning.evaluation.comparison import Group
 
 __all__ = ["command"]
 
@@ -53,22 +57,13 @@ def command(options: CompareOptions) -> None:
     """
     from embodichain.learning.evaluation.comparison import group_runs, read_run
 
-    groups = group_runs(map(read_run, _trainings(options.runs)))
+    groups = group_runs(map(read_run, _find_trainings(options.runs)))
     if options.output is not None:
         from embodichain.learning.evaluation.plots import plot_curves
 
         plot_curves(groups, Path(options.output))
-    numbers = [seed_estimates(group) for group in groups]
     if options.json:
-        data = [
-            {
-                "label": group.label,
-                "seeds": [run.seed for run in group.runs],
-                "folders": [str(run.folder) for run in group.runs],
-                "numbers": {name: asdict(x) for name, x in estimates.items() if x is not None},
-            }
-            for group, estimates in zip(groups, numbers, strict=True)
-        ]
+        data = [_as_dict(group) for group in groups]
         print_json({"groups": data, "picture": options.output})
         return
     print_table(*comparison_table(groups))
@@ -78,31 +73,56 @@ def command(options: CompareOptions) -> None:
         sys.stdout.write(f"{options.output}\n")
 
 
-def _trainings(names: Sequence[str]) -> list[Path]:
-    """The folders of the named trainings and of the trainings in a sweep's folder.
+def _as_dict(group: Group) -> dict[str, Any]:
+    """A group of trainings as `--json` prints it; what none of them has is left out."""
+    estimates = {
+        name: asdict(estimate)
+        for name, estimate in seed_estimates(group).items()
+        if estimate is not None
+    }
+    return {
+        "label": group.label,
+        "seeds": [run.seed for run in group.runs],
+        "folders": [str(run.folder) for run in group.runs],
+        "numbers": estimates,
+    }
+
+
+def _find_trainings(names: Sequence[str]) -> list[Path]:
+    """Find the folders of the named trainings and of the trainings in a sweep's folder.
 
     Evaluations and files, which a shell pattern may match, are left out with a note.
     """
     from embodichain.learning.evaluation.comparison import trainings_in
 
-    paths = dict.fromkeys(map(_path, names))
-    inside = {path: trainings_in(path) if path.is_dir() else [] for path in paths}
-    if not any(inside.values()):
-        return list(paths)  # reading them reports the mistake
-    for path in paths:
-        if not inside[path]:
-            sys.stderr.write(f"left out: {path} is not a training\n")
-    return list(dict.fromkeys(training for trainings in inside.values() for training in trainings))
+    trainings: list[Path] = []
+    others: list[Path] = []
+    for path in dict.fromkeys(map(_find_path, names)):
+        trainings_of_path = trainings_in(path) if path.is_dir() else []
+        trainings += trainings_of_path
+        if not trainings_of_path:
+            others.append(path)
+    if not trainings:
+        return others  # reading them reports the mistake
+    for path in others:
+        sys.stderr.write(f"left out: {path} is not a training\n")
+    return list(dict.fromkeys(trainings))
 
 
-def _path(name: str) -> Path:
-    path = newest_run("outputs", CHECKPOINT) if name == "last" else Path(name)
-    if path is not None and name == "last":
-        path = take_last(whole_run(path))
-    if path is None:
-        raise ConfigError("no training in outputs yet: embodichain train task=NAME")
-    if not path.exists() and "=" in name:
+def _find_path(name: str) -> Path:
+    """Find a file or folder; of the word ``last``, the newest training or its sweep.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    if name == "last":
+        newest = newest_run("outputs", CHECKPOINT)
+        if newest is None:
+            raise ConfigError("no training in outputs yet: embodichain train task=NAME")
+        return announce_last(whole_run(newest)).resolve()
+    path = Path(name)
+    if path.exists():
+        return path.resolve()
+    if "=" in name:
         raise ConfigError(f"{name}: `compare` reads no KEY=VALUE")
-    if not path.exists():
-        raise ConfigError(f"there is no run {name!r}{perhaps_last(name)}")
-    return path.resolve()
+    raise ConfigError(f"there is no run {name!r}{perhaps_last(name)}")

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from embodichain.cli.jobs.job import FRESH, Job, execute, output_overrides
-from embodichain.cli.jobs.trained import Target, one_target, take
+from embodichain.cli.jobs.trained import Target, parse_target, pop_override
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.jobs.work.evaluate_job import (
     EvaluationPlan,
@@ -39,7 +39,6 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 _EPISODES = "100"
-_WORDS = {"true": True, "false": False}
 
 
 @verb(
@@ -60,71 +59,92 @@ def command(options: OverrideOptions) -> None:
     from embodichain.config.keys.schema import LARGEST_TRAINING_SEED
     from embodichain.learning.evaluation.evaluation import EVAL_SEED_OFFSET
 
-    target, lines = one_target("evaluate", options.words)
+    target, lines = parse_target("evaluate", options.words)
     refuse_unread("eval", lines)
-    episodes = _integer("episodes", take(lines, "episodes", _EPISODES), least=1)
-    word = take(lines, "deterministic", "true")
-    if word.lower() not in _WORDS:
-        raise ConfigError([Problem("deterministic", f"must be true or false, got {word!r}")])
-    typed_seed = take(lines, "seed", "")
-    seed = _integer("seed", typed_seed or "0", least=0)
+    episodes = _parse_integer("episodes", pop_override(lines, "episodes", _EPISODES), least=1)
+    deterministic = _parse_switch("deterministic", pop_override(lines, "deterministic", "true"))
+    typed_seed = pop_override(lines, "seed", "")
+    seed = _parse_integer("seed", typed_seed or "0", least=0)
     trim = not any(line.startswith("num_envs=") for line in lines)
-    fresh = {**FRESH, "viewer": {"name": "none"}, "record": {}}
-    resolved = target.resolve([*lines, *output_overrides(options)], fresh)
+    root_values = {**FRESH, "viewer": {"name": "none"}, "record": {}}
+    resolved = target.resolve([*lines, *output_overrides(options)], root_values)
     if not typed_seed and target.run is not None:
         seed = int(resolved.tree["seed"]) % EVAL_SEED_OFFSET  # the training's
     if seed > LARGEST_TRAINING_SEED:
         message = f"must be from 0 to {LARGEST_TRAINING_SEED}, got {seed}"
         raise ConfigError([Problem("seed", message)])
-    plan = EvaluationPlan(episodes, seed, _WORDS[word.lower()])
+    plan = EvaluationPlan(episodes, seed, deterministic)
     config = evaluation_config(resolved, plan, trim=trim)
-    same = _same_as(target, plan, config)
-    execute(config, lambda job: _evaluate(job, plan, same), command_line())
+    note = None
+    if _repeats_training(target, plan, config):
+        other_seed = (plan.seed + 1) % (LARGEST_TRAINING_SEED + 1)
+        note = (
+            f"the same episodes as at the end of the training, no confirmation: seed={other_seed}"
+        )
+    execute(config, lambda job: _evaluate(job, plan, note), command_line())
 
 
-def _same_as(target: Target, plan: EvaluationPlan, config: Resolved) -> str | None:
-    """A sentence if the training's own evaluation played the same episodes of the same policy."""
-    from embodichain.config.keys.schema import LARGEST_TRAINING_SEED
-
-    summary_file = None if target.run is None else target.run / SUMMARY
-    if summary_file is None or not summary_file.is_file() or target.file is None:
-        return None
+def _repeats_training(target: Target, plan: EvaluationPlan, config: Resolved) -> bool:
+    """Whether the evaluation at the end of the training played the same episodes of the policy."""
+    if target.run is None or target.file is None:
+        return False
+    is_last_policy = target.file.name == Path(CHECKPOINT).name
+    is_other_task = any(line.startswith("task") for line in config.overrides)
+    if not is_last_policy or is_other_task or not plan.deterministic:
+        return False
+    summary_file = target.run / SUMMARY
+    if not summary_file.is_file():
+        return False
     try:
-        before = json.loads(summary_file.read_text(encoding="utf-8")).get("eval")
-    except (OSError, ValueError):  # it is not a result of this evaluation
-        return None
-    if not before or target.file.name != Path(CHECKPOINT).name or not plan.deterministic:
-        return None
-    mine = (plan.seed, plan.episodes, int(config.tree["num_envs"]))
-    if mine != (before.get("seed"), before.get("episodes"), before.get("num_envs")):
-        return None
-    if config.overrides and any(line.startswith("task") for line in config.overrides):
-        return None
-    other = (plan.seed + 1) % (LARGEST_TRAINING_SEED + 1)
-    return f"the same episodes as at the end of the training, no confirmation: seed={other}"
+        earlier = json.loads(summary_file.read_text(encoding="utf-8")).get("eval")
+    except (OSError, ValueError):  # a damaged summary is no reason not to evaluate
+        return False
+    if not earlier:
+        return False
+    return bool(
+        plan.seed == earlier.get("seed")
+        and plan.episodes == earlier.get("episodes")
+        and int(config.tree["num_envs"]) == earlier.get("num_envs")
+    )
 
 
-def _integer(key: str, word: str, *, least: int) -> int:
+def _parse_integer(key: str, word: str, *, least: int) -> int:
     with suppress(ValueError):
-        if (value := int(word)) >= least:
+        value = int(word)
+        if value >= least:
             return value
     raise ConfigError([Problem(key, f"must be an integer of at least {least}, got {word!r}")])
 
 
-def _evaluate(job: Job, plan: EvaluationPlan, same: str | None) -> float | None:
-    """Evaluate, write `eval.json` and print the results."""
+def _parse_switch(key: str, word: str) -> bool:
+    if word.lower() not in ("true", "false"):
+        raise ConfigError([Problem(key, f"must be true or false, got {word!r}")])
+    return word.lower() == "true"
+
+
+def _evaluate(job: Job, plan: EvaluationPlan, note: str | None) -> float | None:
+    """Evaluate, write `eval.json` and print the results.
+
+    Args:
+        job: The job.
+        plan: The options of the evaluation.
+        note: A sentence for `run.log` and above the results, or None.
+
+    Returns:
+        The objective for a sweeper.
+    """
     result = evaluate_job(job, plan)
     result |= job.film(result["log"])
-    if same is not None and job.quiet:
-        _log.warning(same)
-    elif same is not None:
-        _log.info(same)
+    if note is not None and job.quiet:
+        _log.warning(note)  # on stderr, too: nothing is printed below
+    elif note is not None:
+        _log.info(note)
     if job.root.json:
         print_json(result)
     elif not job.quiet:
-        interval = f"{result['confidence']:.0%} intervals"
         policy, episodes, *rows = evaluation_rows(result)
-        note = [("note", same)] if same is not None else []
-        title = f"{result['task']}  ([low, high]: {interval})"
-        print_facts(title, [policy, episodes, *note, *rows])
+        if note is not None:
+            rows = [("note", note), *rows]
+        title = f"{result['task']}  ([low, high]: {result['confidence']:.0%} intervals)"
+        print_facts(title, [policy, episodes, *rows])
     return objective_of(result)

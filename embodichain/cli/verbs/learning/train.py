@@ -7,7 +7,7 @@ keys may change. It continues in a new folder; the files of the earlier run are 
 from __future__ import annotations
 
 from embodichain.cli.jobs.job import execute, start
-from embodichain.cli.jobs.resuming import resumed_training, resumption
+from embodichain.cli.jobs.resuming import resolve_resumed_training, resuming_overrides
 from embodichain.cli.jobs.work.train_job import train_job
 from embodichain.cli.verb import JobOptions, command_line, job_arguments, verb
 
@@ -30,8 +30,8 @@ __all__ = ["command"]
 @job_arguments("train")
 def command(options: JobOptions) -> None:
     """Train once, or once for each point of a sweep."""
-    lines = resumption(options)
+    lines = resuming_overrides(options)
     if lines is None:
         start("train", train_job, options)
     else:
-        execute(resumed_training(lines), train_job, command_line(), verb="train")
+        execute(resolve_resumed_training(lines), train_job, command_line(), verb="train")

@@ -37,7 +37,7 @@ class DiffOptions:
 @log_argument("A", "a")
 @log_argument("B", "b")
 def command(options: DiffOptions) -> int:
-    """Compare two logs; returns 1 if they differ."""
+    """Compare two logs; the exit code is 1 if they differ."""
     from embodichain.recording.check.log_diff import diff
 
     report = diff(log_of(options.a), log_of(options.b))
@@ -46,8 +46,8 @@ def command(options: DiffOptions) -> int:
     else:
         for note in report.notes:
             sys.stderr.write(f"note: {note}\n")
-        verdict = f"the same: {report.steps} control steps, every bit"
-        if report.difference is not None:
-            verdict = f"they differ first at {report.difference}"
-        sys.stdout.write(f"{verdict}\n")
+        if report.difference is None:
+            sys.stdout.write(f"the same: {report.steps} control steps, every bit\n")
+        else:
+            sys.stdout.write(f"they differ first at {report.difference}\n")
     return process.OK if report.same else process.FAILED

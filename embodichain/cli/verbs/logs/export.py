@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.jobs.job import ended_early, film_progress
-from embodichain.cli.jobs.trained import Target, one_target
+from embodichain.cli.jobs.job import describe_early_end, film_progress
+from embodichain.cli.jobs.trained import Target, parse_target
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.terminal.output import print_json, say_warnings
 from embodichain.cli.terminal.process import Interrupted, StopFlag, interrupts_say
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_POLICIES: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
+_POLICY_SUFFIXES: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
 """Format of a policy -> the suffix of its file."""
-_NOTHING = "nothing was written, an export is whole or not there"
-_OF_PARTS = {
+_NOT_WRITTEN = "nothing was written: an export is complete, or there is no file"
+_PART_OPTIONS = {
     "env": "env",
     "episode": "episode",
     "from": "start",
@@ -37,7 +37,7 @@ _OF_PARTS = {
     "camera": "cameras",
     "size": "size",
 }
-"""Flag -> option, of what chooses a part of a log."""
+"""Flag -> field of `ExportOptions`, for those that choose a part of a log."""
 
 
 def _log_formats() -> list[str]:
@@ -53,16 +53,17 @@ class _FormatOption(click.Option):
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         """Look the formats up when help is asked for, not when the verb is imported."""
         logs = ", ".join(_log_formats())
-        policies = ", ".join(_POLICIES)
+        policies = ", ".join(_POLICY_SUFFIXES)
         self.help = f"Of a log: {logs} (`embodichain list formats`); of a policy: {policies}."
         return super().get_help_record(ctx)
 
 
 def _complete_format(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    return [name for name in [*_log_formats(), *_POLICIES] if name.startswith(incomplete)]
+    formats = [*_log_formats(), *_POLICY_SUFFIXES]
+    return [name for name in formats if name.startswith(incomplete)]
 
 
-def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+def _complete_word(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
     return [word for word in ("policy", "last") if word.startswith(incomplete)]
 
 
@@ -119,7 +120,7 @@ class ExportOptions:
     "words",
     nargs=-1,
     metavar="FILE|FOLDER|last... | policy RUN|last|PATH [task=NAME]",
-    shell_complete=_complete,
+    shell_complete=_complete_word,
 )
 @click.option(
     "--format",
@@ -159,7 +160,7 @@ def command(options: ExportOptions) -> None:
         _export_policy(options)
     elif options.form is None:
         raise ConfigError(f"--format is needed: {', '.join(_log_formats())}")
-    elif _has_observations(options):
+    elif _exports_observations(options):
         _export_episodes(options.form, options)
     elif len(options.words) > 1:
         raise ConfigError(f"one log at a time: {', '.join(options.words)}")
@@ -167,23 +168,25 @@ def command(options: ExportOptions) -> None:
         _export_log(options.form, options)
 
 
-def _has_observations(options: ExportOptions) -> bool:
-    """Whether the task's observations are exported.
+def _exports_observations(options: ExportOptions) -> bool:
+    """Whether the task's observations are exported, not the states of the log.
 
     Raises:
-        ConfigError: If other options do not fit.
+        ConfigError: Another option does not apply to what is exported.
     """
     from embodichain.recording.export.format_register import EPISODE_FORMATS, FORMATS
 
-    alone = [name for name in EPISODE_FORMATS.names() if name not in FORMATS.names()]
-    if options.form in alone or options.observations:
-        for flag, name in _OF_PARTS.items():
+    # Formats that have no form with states need no --observations.
+    only_episodes = [name for name in EPISODE_FORMATS.names() if name not in FORMATS.names()]
+    if options.observations or options.form in only_episodes:
+        for flag, name in _PART_OPTIONS.items():
             if getattr(options, name) not in (None, ()):
                 raise ConfigError(f"--{flag} is not for observations: they are of whole episodes")
         return True
     for flag in ("group", "failures"):
         if getattr(options, flag):
-            raise ConfigError(f"--{flag} needs --observations or --format {', '.join(alone)}")
+            formats = ", ".join(only_episodes)
+            raise ConfigError(f"--{flag} needs --observations or --format {formats}")
     return False
 
 
@@ -191,20 +194,25 @@ def _export_episodes(form: str, options: ExportOptions) -> None:
     """Write the episodes of logs with observations; a signal leaves no file."""
     from embodichain.recording.export.episodes import export_episodes
 
-    paths = [log_of(word).parent if word == "last" else Path(word) for word in options.words]
-    count = 0
+    paths: list[Path] = []
+    for word in options.words:
+        if word == "last":
+            paths.append(log_of(word).parent)
+        else:
+            paths.append(Path(word))
+    num_episodes = 0
     with (
         warnings_on_stderr(),
         ProgressDisplay("export", None, "episodes", quiet=options.json) as display,
     ):
 
-        def progress(done: int) -> None:
-            nonlocal count
-            count = done
+        def progress(episodes: int) -> None:
+            nonlocal num_episodes
+            num_episodes = episodes
             if display.due:
-                display.show(done, {})
+                display.show(episodes, {})
 
-        with interrupts_say(_NOTHING):
+        with interrupts_say(_NOT_WRITTEN):
             path = export_episodes(
                 paths,
                 form,
@@ -213,52 +221,75 @@ def _export_episodes(form: str, options: ExportOptions) -> None:
                 failures=options.failures,
                 progress=progress,
             )
+    num_bytes = _count_bytes(path)
     if options.json:
-        print_json({"file": str(path), "bytes": _size(path), "episodes": count})
+        print_json({"file": str(path), "bytes": num_bytes, "episodes": num_episodes})
     else:
-        sys.stdout.write(f"{path}: {count} episodes, {_size(path) / 1e6:.2f} MB\n")
+        sys.stdout.write(f"{path}: {num_episodes} episodes, {num_bytes / 1e6:.2f} MB\n")
 
 
 def _export_policy(options: ExportOptions) -> None:
-    name = options.form or "onnx"
-    form = next((form for form in _POLICIES if form == name), None)
-    if form is None:
-        raise ConfigError(f"--format of a policy is one of {', '.join(_POLICIES)}, not {name}")
-    target, lines = one_target("export", options.words[1:])
+    """Write a trained policy, and print how far its actions are from the training's."""
+    form = _policy_format(options.form or "onnx")
+    target, lines = parse_target("export", options.words[1:])
     refuse_unread("export policy", lines)
-    if target.file is None or target.file.suffix in _POLICIES.values():
+    if target.file is None or target.file.suffix in _POLICY_SUFFIXES.values():
         message = f"policy: only zips of trainings are exported, not {target.policy}"
         raise ConfigError(message)
+    suffix = _POLICY_SUFFIXES[form]
     if options.output is not None:
         out = Path(options.output)
     elif target.run is not None:
-        out = target.run / f"policy{_POLICIES[form]}"
+        out = target.run / f"policy{suffix}"
     else:  # a file that belongs to no run
-        out = Path(target.policy).with_suffix(_POLICIES[form])
+        out = target.file.with_suffix(suffix)
     facts = _write_policy(target, lines, out, form)
     if options.json:
         print_json(facts)
     else:
-        worst = f"at most {facts['largest_difference']:.2g} from the policy's actions"
-        sys.stdout.write(f"{out}: {facts['task']}, {facts['algo']}, {worst}\n")
+        difference = f"at most {facts['largest_difference']:.2g} from the policy's actions"
+        sys.stdout.write(f"{out}: {facts['task']}, {facts['algo']}, {difference}\n")
+
+
+def _policy_format(name: str) -> Format:
+    """The format of a policy that has a name.
+
+    Raises:
+        ConfigError: There is no such format.
+    """
+    for form in _POLICY_SUFFIXES:
+        if form == name:
+            return form
+    raise ConfigError(f"--format of a policy is one of {', '.join(_POLICY_SUFFIXES)}, not {name}")
 
 
 def _write_policy(target: Target, overrides: list[str], out: Path, form: Format) -> dict[str, Any]:
+    """Write a trained policy in the environment of its run, or of ``task=`` in the overrides.
+
+    Returns:
+        What `--json` prints.
+    """
     from embodichain.config.composition.environment import notes_of_today
     from embodichain.config.environments.factory import make_env
     from embodichain.learning.policies.exporting import export_policy
     from embodichain.learning.policies.policy import load_checkpoint
 
-    fresh = {"viewer": {"name": "none"}, "algo": None, "num_envs": 1, "resume": None}
-    fresh |= {"allow_changed": False, "trust": False}
-    resolved = target.resolve(overrides, fresh, only_reads=True)
+    root_values = {
+        "viewer": {"name": "none"},
+        "algo": None,
+        "num_envs": 1,
+        "resume": None,
+        "allow_changed": False,
+        "trust": False,
+    }
+    resolved = target.resolve(overrides, root_values, only_reads=True)
     for note in notes_of_today(resolved.tree):
         sys.stderr.write(f"warning: {note}\n")
     env = make_env(resolved)
     try:
         policy = load_checkpoint(Path(target.policy), env, trust=resolved.root.trust)
         policy.allow_changed = resolved.root.allow_changed
-        worst = export_policy(policy, env, out, form, task=resolved.task_name)
+        difference = export_policy(policy, env, out, form, task=resolved.task_name)
     finally:
         env.close()
     return {
@@ -267,11 +298,17 @@ def _write_policy(target: Target, overrides: list[str], out: Path, form: Format)
         "task": resolved.task_name,
         "algo": policy.algo,
         "policy": target.policy,
-        "largest_difference": worst,
+        "largest_difference": difference,
     }
 
 
 def _export_log(form: str, options: ExportOptions) -> None:
+    """Write a log, or a part of it, with states.
+
+    Raises:
+        ConfigError: The options do not fit together.
+        Interrupted: A signal ended a film early, or nothing was written.
+    """
     from embodichain.recording.export.format_register import FORMATS
     from embodichain.recording.export.log_parts import Part
     from embodichain.recording.shards import joining
@@ -282,59 +319,69 @@ def _export_log(form: str, options: ExportOptions) -> None:
     if options.size is not None:
         size = pair("--size", options.size, "WIDTHxHEIGHT in pixels, such as 640x480")
     part = Part(
-        options.env,
-        options.episode,
-        options.start or 0,
-        options.stop,
-        options.cameras or None,
-        size,
+        env=options.env,
+        episode=options.episode,
+        start=options.start or 0,
+        stop=options.stop,
+        cameras=options.cameras or None,
+        size=size,
     )
-    ended = ""
+    interruption = ""
     with warnings_on_stderr(), joining.open(log_of(options.words[0]), simulate=True) as log:
         if FORMATS[form].film:
-            path, ended = _film(log, form, part, options)
+            path, interruption = _film(log, form, part, options)
         else:
             path = _write(log, form, part, options.output)
         say_warnings(log.path, log.warnings)
+        num_bytes = _count_bytes(path)
         if options.json:
-            print_json({"file": str(path), "bytes": _size(path), "complete": log.complete})
+            print_json({"file": str(path), "bytes": num_bytes, "complete": log.complete})
         else:
-            sys.stdout.write(f"{path}: {_size(path) / 1e6:.2f} MB\n")
-    if ended:
-        raise Interrupted(ended)
+            sys.stdout.write(f"{path}: {num_bytes / 1e6:.2f} MB\n")
+    if interruption:
+        raise Interrupted(interruption)
 
 
 def _write(log: Log, form: str, part: Part, out: str | None) -> Path:
     """Write any format but a video; a signal leaves no file."""
     from embodichain.recording.export.log_export import export
 
-    with interrupts_say(_NOTHING):
+    with interrupts_say(_NOT_WRITTEN):
         return export(log, form, out, part)
 
 
 def _film(log: Log, form: str, part: Part, options: ExportOptions) -> tuple[Path, str]:
-    """Write a video; also returns a message if a signal ended it early."""
+    """Write a video.
+
+    Returns:
+        Its path, and a message if a signal ended it early, else empty.
+
+    Raises:
+        Interrupted: A signal came before the first picture.
+    """
     from embodichain.recording.export.log_export import export
     from embodichain.recording.film.filming import Filmed
 
-    filmed = Filmed(0, -1, whole=False)
-    with StopFlag() as stop, ProgressDisplay("film", None, "pictures", quiet=options.json) as bar:
-        show = film_progress(bar)
+    filmed = Filmed(pictures=0, step=-1, whole=False)
+    display = ProgressDisplay("film", None, "pictures", quiet=options.json)
+    with StopFlag() as stop, display:
+        show = film_progress(display)
 
-        def progress(now: Filmed) -> None:
+        def progress(filmed_so_far: Filmed) -> None:
             nonlocal filmed
-            filmed = now
-            show(now)
+            filmed = filmed_so_far
+            show(filmed_so_far)
 
         path = export(log, form, options.output, part, progress=progress, stop=stop.is_stopped)
         if not filmed.pictures:
-            raise Interrupted(ended_early(stop, filmed, path))
+            raise Interrupted(describe_early_end(stop, filmed, path))
         if stop.is_stopped():
-            return path, ended_early(stop, filmed, path)
+            return path, describe_early_end(stop, filmed, path)
         return path, ""
 
 
-def _size(path: Path) -> int:
+def _count_bytes(path: Path) -> int:
     """Bytes of a file, or of all files in a folder."""
-    files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
-    return sum(file.stat().st_size for file in files)
+    if path.is_file():
+        return path.stat().st_size
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())

@@ -49,17 +49,23 @@ def command(options: RecoverOptions) -> None:
     """Write the readable part of IN to OUT, and report where it ends."""
     from embodichain.recording.read.recover import recover
 
-    saved = recover(log_of(options.file), Path(options.target))
+    recovery = recover(log_of(options.file), Path(options.target))
     if options.json:
-        print_json(asdict(saved))
+        print_json(asdict(recovery))
     elif not options.quiet:
-        sys.stdout.write(_told(saved))
+        sys.stdout.write(f"{_describe(recovery)}\n")
 
 
-def _told(saved: Recovery) -> str:
-    what = f"{saved.steps} control steps, {saved.messages} messages, {saved.nbytes / 1e6:.2f} MB"
-    if not saved.damage:
-        return f"{saved.source} is whole; copied to {saved.path}: {what}\n"
-    lost = f" ({saved.lost_bytes} bytes behind it were not readable)" if saved.lost_bytes else ""
-    end = f"after step {saved.steps - 1}" if saved.steps else "before its first step was complete"
-    return f"recovered {saved.path}: {what}\nthe log ends {end}: {saved.damage}{lost}\n"
+def _describe(recovery: Recovery) -> str:
+    """What was saved, and where and why the log ends."""
+    megabytes = recovery.nbytes / 1e6
+    contents = f"{recovery.steps} control steps, {recovery.messages} messages, {megabytes:.2f} MB"
+    if not recovery.damage:
+        return f"{recovery.source} is complete; copied to {recovery.path}: {contents}"
+    end = "before its first step was complete"
+    if recovery.steps:
+        end = f"after step {recovery.steps - 1}"
+    damage = recovery.damage
+    if recovery.lost_bytes:
+        damage += f" ({recovery.lost_bytes} bytes after it are not readable)"
+    return f"recovered {recovery.path}: {contents}\nthe log ends {end}: {damage}"

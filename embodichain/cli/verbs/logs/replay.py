@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from embodichain.cli.jobs.access_options import AccessOptions, access_options
-from embodichain.cli.jobs.job import ended_early, film_progress
+from embodichain.cli.jobs.job import describe_early_end, film_progress
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.output import print_facts, print_json, print_table, say_warnings
 from embodichain.cli.terminal.process import Interrupted, StopFlag
@@ -108,7 +108,18 @@ class ReplayOptions(AccessOptions):
     @property
     def last(self) -> int | None:
         """The last control step, included."""
-        return None if self.stop is None else self.stop - 1
+        if self.stop is None:
+            return None
+        return self.stop - 1
+
+    @property
+    def typed_names(self) -> set[str]:
+        """Names of the options that were typed."""
+        return {
+            name
+            for name, value in vars(self).items()
+            if value is not None and value is not False and value != ()
+        }
 
 
 @verb(
@@ -173,7 +184,7 @@ class ReplayOptions(AccessOptions):
 @click.option("--size", metavar="WxH", help="Pixels of the film. Default: 640x480.")
 def command(options: ReplayOptions) -> int:
     """Print the contents of a log, or verify, film, view or replay it."""
-    _check(options)
+    _check_options(options)
     path = log_of(options.file)
     if options.video is not None:
         return _film(path, Path(options.video), options)
@@ -186,24 +197,33 @@ def command(options: ReplayOptions) -> int:
     return _inspect(path, options)
 
 
-def _check(options: ReplayOptions) -> None:
+def _check_options(options: ReplayOptions) -> None:
     """Refuse options that exclude each other, or that nothing would read."""
-    typed = {name for name, value in vars(options).items() if value not in (None, False, ())}
+    typed = options.typed_names
     actions = [name for name in _ACTIONS if name in typed]
     if len(actions) > 1:
         raise ConfigError(
             f"--{actions[0]} and --{actions[1]} exclude each other: give one at a time"
         )
     for name, readers in _ONLY_WITH.items():
-        if name in typed and not set(readers) & typed:
-            needed = " or ".join(f"--{action}" for action in readers)
-            option = name.removesuffix("s") if name.startswith("allow_") else name
-            raise ConfigError(f"--{option.replace('_', '-')} needs {needed}")
-    if options.verify and {"start", "stop"} & typed:
-        raise ConfigError("--from and --to choose what is listed; --verify needs every step before")
+        if name in typed and typed.isdisjoint(readers):
+            flags = " or ".join(f"--{action}" for action in readers)
+            raise ConfigError(f"{_flag(name)} needs {flags}")
+    if options.verify and not typed.isdisjoint(("start", "stop")):
+        raise ConfigError(
+            "--from and --to choose the episodes that are listed; --verify needs every step before"
+        )
+
+
+def _flag(name: str) -> str:
+    """The flag of an option, by the name of its field."""
+    if name in ("allow_hosts", "allow_origins"):  # flags that may be repeated are singular
+        name = name.removesuffix("s")
+    return f"--{name.replace('_', '-')}"
 
 
 def _rerun(path: Path, policy: str, options: ReplayOptions) -> int:
+    """Play the recorded episodes with another policy; returns the exit code."""
     from embodichain.cli.jobs.replay_policy import Repetition, rerun
 
     repetition = Repetition(
@@ -217,25 +237,27 @@ def _rerun(path: Path, policy: str, options: ReplayOptions) -> int:
 
 
 def _inspect(path: Path, options: ReplayOptions) -> int:
+    """Print what a log contains."""
     from embodichain.recording import inspect
 
     summary = inspect(path)
-    episodes = [e for e in summary.episodes if _is_wanted(e, options)]
+    episodes = [episode for episode in summary.episodes if _is_listed(episode, options)]
     say_warnings(path, summary.warnings)
     if options.json:
-        data = {
+        facts = {
             **asdict(summary),
             "messages": summary.messages,
             "duration_s": summary.duration_s,
             "mean_reward": summary.mean_reward,
+            "episodes": [_row(episode) for episode in episodes],
         }
-        print_json({**data, "episodes": [_row(episode) for episode in episodes]})
+        print_json(facts)
     elif not options.quiet:
         _print_summary(summary, episodes)
     return process.OK
 
 
-def _is_wanted(episode: LogEpisode, options: ReplayOptions) -> bool:
+def _is_listed(episode: LogEpisode, options: ReplayOptions) -> bool:
     """Whether an episode matches --env and --episode and has a step in [--from, --to)."""
     return (
         options.env in (None, episode.env)
@@ -246,10 +268,12 @@ def _is_wanted(episode: LogEpisode, options: ReplayOptions) -> bool:
 
 
 def _row(episode: LogEpisode) -> dict[str, Any]:
+    """A row of the table of episodes."""
     return {name: getattr(episode, name) for name in _COLUMNS}
 
 
 def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
+    """Print the facts of a log, its channels and the first of the listed episodes."""
     header = summary.header
     started = datetime.fromtimestamp(header.start_ns / 1e9)
     state = "complete" if summary.complete else "INCOMPLETE"
@@ -258,11 +282,11 @@ def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
         ("recorded", f"{started:%Y-%m-%d %H:%M:%S}, {header.recorded_with}"),
         ("environments", f"{header.num_envs}, seed {header.seed}"),
         ("steps", f"{summary.steps} control steps = {summary.duration_s:.2f} s simulated"),
-        ("episodes ended", _ended(summary)),
+        ("episodes ended", _count_episodes(summary)),
         ("mean return", summary.mean_reward),
         ("file", f"{state}, {summary.nbytes / 1e6:.2f} MB, {summary.messages} messages"),
         ("attachments", list(summary.attachments)),
-        ("verifiable", _verifiable(header)),
+        ("verifiable", _describe_verification(header)),
     ]
     print_facts(str(summary.path), facts)
     print_table("channels", [asdict(channel) for channel in summary.channels])
@@ -271,31 +295,35 @@ def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
         sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
 
 
-def _ended(summary: LogSummary) -> str:
+def _count_episodes(summary: LogSummary) -> str:
     """How many episodes ended, and how many of them count."""
-    ended = f"{len(summary.episodes)}"
+    num_ended = len(summary.episodes)
     if summary.counted is None:
-        return ended
-    return f"{ended}, of which {summary.counted} count"
+        return str(num_ended)
+    return f"{num_ended}, of which {summary.counted} count"
 
 
-def _verifiable(header: Header) -> str:
+def _describe_verification(header: Header) -> str:
+    """Whether `--verify` can compare the log here, and how exactly."""
     import mujoco
 
     from embodichain.recording.format.header import MUJOCO
 
-    if header.unverifiable or header.unknown_engine:
-        return f"no: {header.unverifiable or header.unknown_engine}"
+    obstacle = header.unverifiable or header.unknown_engine
+    if obstacle:
+        return f"no: {obstacle}"
     if header.mujoco_version != mujoco.__version__:
         return f"not to the bit: this is MuJoCo {mujoco.__version__}; states can be played"
-    if header.engine != MUJOCO:
-        first = "writes and resets to the bit, " if header.has_writes else ""
-        physics = f"{first}physics of {header.engine} within a tolerance"
-        return physics if first else f"{physics}; resets and events are not in the log"
-    return "yes"
+    if header.engine == MUJOCO:
+        return "yes"
+    physics = f"physics of {header.engine} within a tolerance"
+    if header.has_writes:
+        return f"writes and resets to the bit, {physics}"
+    return f"{physics}; resets and events are not in the log"
 
 
 def _verify(path: Path, options: ReplayOptions) -> int:
+    """Simulate a log again and print whether every bit is the same; returns the exit code."""
     from embodichain.recording import verify
 
     quiet = options.quiet or options.json
@@ -322,7 +350,11 @@ def _verify(path: Path, options: ReplayOptions) -> int:
 
 
 def _film(path: Path, out: Path, options: ReplayOptions) -> int:
-    """Write the video and print its path."""
+    """Write the video and print its path; returns the exit code.
+
+    Raises:
+        Interrupted: A signal ended the film early.
+    """
     from embodichain.recording.film.filming import film_log
     from embodichain.recording.shards import joining
 
@@ -345,14 +377,19 @@ def _film(path: Path, out: Path, options: ReplayOptions) -> int:
         )
         say_warnings(log.path, log.warnings)
     if filmed.pictures:
-        nbytes = out.stat().st_size
+        num_bytes = out.stat().st_size
         if options.json:
-            facts = {"pictures": filmed.pictures, "bytes": nbytes, "complete": filmed.whole}
-            print_json({"file": str(out), **facts})
+            facts = {
+                "file": str(out),
+                "pictures": filmed.pictures,
+                "bytes": num_bytes,
+                "complete": filmed.whole,
+            }
+            print_json(facts)
         elif not options.quiet:
-            sys.stdout.write(f"{out}: {filmed.pictures} pictures, {nbytes / 1e6:.2f} MB\n")
+            sys.stdout.write(f"{out}: {filmed.pictures} pictures, {num_bytes / 1e6:.2f} MB\n")
     if not (filmed.pictures and filmed.whole):
-        raise Interrupted(ended_early(stop, filmed, out))
+        raise Interrupted(describe_early_end(stop, filmed, out))
     return process.OK
 
 
@@ -362,11 +399,16 @@ def _view(path: Path, options: ReplayOptions) -> int:
     from embodichain.recording.shards import joining
     from embodichain.recording.viewers.log_player import play_log
 
-    stretch = Stretch(options.env or 0, options.episode, options.start, options.last)
+    stretch = Stretch(
+        env=options.env or 0,
+        episode=options.episode,
+        first=options.start,
+        last=options.last,
+    )
     with StopFlag() as stop, joining.open(path) as log:
         stretch.span_in(log)  # a mistake is reported before a window opens
         say_warnings(log.path, log.warnings)
-        screen = _screen(log, options, stop)
+        screen = _open_screen(log, options, stop)
         try:
             play_log(
                 log,
@@ -382,12 +424,19 @@ def _view(path: Path, options: ReplayOptions) -> int:
     return process.OK
 
 
-def _screen(log: Log, options: ReplayOptions, stop: StopFlag) -> Screen:
+def _open_screen(log: Log, options: ReplayOptions, stop: StopFlag) -> Screen:
+    """Open the window or the page that shows the log.
+
+    Raises:
+        ConfigError: There is no such view, or it does not read one of the options.
+    """
     from embodichain.recording.viewers.log_player import NativeScreen
     from embodichain.utils.system.display import has_display
 
     env = options.env or 0
-    name = options.view or ("native" if has_display() else "web")
+    name = options.view
+    if not name:
+        name = "native" if has_display() else "web"
     if name == "foxglove":
         raise ConfigError("Foxglove and Lichtblick play the file itself: embodichain view FILE")
     if name not in ("native", "web"):
@@ -402,15 +451,15 @@ def _screen(log: Log, options: ReplayOptions, stop: StopFlag) -> Screen:
 
     host = options.host or "127.0.0.1"
     page_options = PageOptions(
-        host,
-        options.port,
-        env,
+        host=host,
+        port=options.port,
+        env_id=env,
         resets=False,
         title=f"{log.task}: {log.path.name}",
         access=options.access,
     )
     page = WebPage(log.model, page_options, num_envs=log.num_envs, stopped=stop.is_stopped)
-    if not options.quiet or page.url != page.address:
+    if not options.quiet or page.url != page.address:  # nobody can guess the URL's token
         sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
         sys.stderr.flush()
     warn_if_public(host, page.url, controls=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from embodichain.cli.terminal.last import take_last
+from embodichain.cli.terminal.last import announce_last
 from embodichain.cli.terminal.output import print_json
 from embodichain.cli.verb import complete_last, verb
 from embodichain.utils.errors import ConfigError
@@ -55,27 +55,22 @@ def command(options: ReportOptions) -> None:
             written.
     """
     from embodichain.cli.results.report_page import page_of
-    from embodichain.cli.sweeps.sweep_report import has_finished_training, page_of_sweep
-    from embodichain.config.run_folder import CONFIG, SWEEP, find_run, newest_run, whole_run
+    from embodichain.cli.sweeps.sweep_report import page_of_sweep
+    from embodichain.config.run_folder import CONFIG, SWEEP
     from embodichain.utils.system.atomic import write_text
 
-    newest = newest_run("outputs", CONFIG) if options.run == "last" else None
-    if newest is None:
-        folder = find_run(options.run)  # its error names what `last` does not find
+    folder = _find_folder(options.run)
+    is_new_file = options.output is not None
+    out = folder / _PAGE if options.output is None else Path(options.output)
+    if is_new_file and os.path.lexists(out):
+        raise ConfigError(f"{out} exists; it is never replaced")
+    if not (folder / CONFIG).is_file() and (folder / SWEEP).is_file():
+        text = page_of_sweep(folder)
     else:
-        sweep_or_run = whole_run(newest)
-        # A page of a sweep compares trainings.
-        folder = take_last(sweep_or_run if has_finished_training(sweep_or_run) else newest)
-    out = folder / _PAGE
-    if options.output is not None:
-        out = Path(options.output)
-        if os.path.lexists(out):
-            raise ConfigError(f"{out} exists; it is never replaced")
-    is_sweep = not (folder / CONFIG).is_file() and (folder / SWEEP).is_file()
-    text = page_of_sweep(folder) if is_sweep else page_of(folder)
+        text = page_of(folder)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_text(out, text, new=options.output is not None)
+        write_text(out, text, new=is_new_file)
     except OSError as error:
         raise ConfigError(f"cannot write {out}: {error}") from error
     num_bytes = len(text.encode())
@@ -83,3 +78,22 @@ def command(options: ReportOptions) -> None:
         print_json({"file": str(out), "bytes": num_bytes})
     elif not options.quiet:
         sys.stdout.write(f"{out}: {num_bytes / 1e6:.2f} MB\n")
+
+
+def _find_folder(name: str) -> Path:
+    """The folder of a run or a sweep; of the word ``last``, the newest.
+
+    Raises:
+        ConfigError: There is no such run.
+    """
+    from embodichain.cli.sweeps.sweep_report import has_finished_training
+    from embodichain.config.run_folder import CONFIG, find_run, newest_run, whole_run
+
+    newest = newest_run("outputs", CONFIG) if name == "last" else None
+    if newest is None:
+        return find_run(name)  # its error says that there is no run yet
+    sweep_or_run = whole_run(newest)
+    # The page of a sweep compares trainings: without one, the page is of the run.
+    if has_finished_training(sweep_or_run):
+        return announce_last(sweep_or_run)
+    return announce_last(newest)

@@ -20,13 +20,14 @@ from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.recording.read.summary import LogSummary
-    from embodichain.utils.system.access import Access
 
 __all__ = ["command"]
 
 _LAYOUT = "foxglove_layout.json"
 _MAGIC = b"\x89MCAP0\r\n"
 """The first and last bytes of a complete MCAP file."""
+_DESKTOP_PROGRAMS = ("xdg-open", "open")
+"""Programs of Linux and macOS that open a file with the desktop's default program."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,27 +78,38 @@ def command(options: ViewOptions) -> None:
     from embodichain.recording import inspect
 
     path = log_of(options.file)
-    log = inspect(_shard_of(path) or path)
+    log = inspect(_choose_shard(path) or path)
     say_warnings(log.path, log.warnings)
-    layout = _layout(log)
+    layout = _save_layout(log)
     if options.json:
         print_json({"file": str(log.path), "layout": str(layout), "complete": log.complete})
     else:
-        files = [log.path.with_name(name) for name in log.files]
-        first = f"Foxglove or Lichtblick: Open local file, {', '.join(map(str, files))}"
-        if not all(map(_has_end, files)):  # both need the index at a file's end
-            saved = log.path.with_name(f"{log.path.stem}_saved.mcap")
-            first = f"embodichain recover {log.path} {saved}, and Open local file, {saved}, "
-            first += "in Foxglove or Lichtblick"
-        sys.stdout.write(f"{first}\nthen Layouts, Import from file, {layout}\n")
+        sys.stdout.write(f"{_how_to_open(log)}\nthen Layouts, Import from file, {layout}\n")
     if options.serve:
-        _serve(log.path, options.host, options.port, options.speed, options.access)
+        _serve(log.path, options)
     elif options.opens:
-        _open(log)
+        _open_on_desktop(log)
 
 
-def _shard_of(path: Path) -> Path | None:
-    """Of a batch in shards, the log with the viewed environments; says where the others are."""
+def _how_to_open(log: LogSummary) -> str:
+    """What to do to open a log in Foxglove or Lichtblick."""
+    files = [log.path.with_name(name) for name in log.files]
+    if all(map(_has_end, files)):
+        return f"Foxglove or Lichtblick: Open local file, {', '.join(map(str, files))}"
+    # Both programs need the index at a file's end, which `recover` writes.
+    saved = log.path.with_name(f"{log.path.stem}_saved.mcap")
+    return (
+        f"embodichain recover {log.path} {saved}, and Open local file, {saved}, in Foxglove or "
+        "Lichtblick"
+    )
+
+
+def _choose_shard(path: Path) -> Path | None:
+    """Choose the log with the viewed environments, and print where the others are.
+
+    Returns:
+        Its path, or None if the log is not one of a batch in shards.
+    """
     from embodichain.recording.shards.joining import shards_of
 
     manifest = shards_of(path)
@@ -106,22 +118,26 @@ def _shard_of(path: Path) -> Path | None:
     from embodichain.recording.shards.sharded_log import ShardedLog
 
     with ShardedLog(manifest) as joined:
-        viewed = next(iter(joined.header.view_envs), 0)
-        chosen = joined.part_of(viewed)[0].path
-        others = ", ".join(log.path.name for log in joined.shards if log.path != chosen)
+        viewed_env = next(iter(joined.header.view_envs), 0)
+        shard, _ = joined.part_of(viewed_env)
+        others = [log.path.name for log in joined.shards if log.path != shard.path]
     if others:
-        sys.stderr.write(f"note: environment {viewed} is in {chosen.name}; others: {others}\n")
-    return chosen
+        sys.stderr.write(
+            f"note: environment {viewed_env} is in {shard.path.name}; "
+            f"the others are in {', '.join(others)}\n"
+        )
+    return shard.path
 
 
 def _has_end(file: Path) -> bool:
+    """Whether a file of a log ends as a complete MCAP file does."""
     with file.open("rb") as stream:
         stream.seek(-len(_MAGIC), os.SEEK_END)
         return stream.read() == _MAGIC
 
 
-def _layout(log: LogSummary) -> Path:
-    """The layout beside the log; if it is missing, the log's attachment is written there."""
+def _save_layout(log: LogSummary) -> Path:
+    """Return the path of the layout beside the log; a missing one is written, if the log has it."""
     path = log.path.with_name(_LAYOUT)
     if not path.exists():
         from embodichain.recording.read.chunks import LogReader
@@ -132,9 +148,9 @@ def _layout(log: LogSummary) -> Path:
     return path
 
 
-def _open(log: LogSummary) -> None:
+def _open_on_desktop(log: LogSummary) -> None:
     """Open the file with the desktop's default program."""
-    for name in ("xdg-open", "open"):
+    for name in _DESKTOP_PROGRAMS:
         program = shutil.which(name)
         if program is not None:
             subprocess.run([program, str(log.path)], check=False)
@@ -142,19 +158,19 @@ def _open(log: LogSummary) -> None:
     raise ConfigError("there is no xdg-open here, so no desktop that could open a file")
 
 
-def _serve(path: Path, host: str, port: int | None, speed: float, access: Access) -> None:
-    """Play until Ctrl-C."""
+def _serve(path: Path, options: ViewOptions) -> None:
+    """Play the log to viewers that connect, until Ctrl-C."""
     from embodichain.cli.terminal.process import StopFlag
     from embodichain.cli.terminal.reporting import warn_if_public
     from embodichain.recording.viewers.foxglove import FoxgloveServer, declare_channels, stream_log
 
-    server = FoxgloveServer(host, port, access)
+    server = FoxgloveServer(options.host, options.port, options.access)
     try:
         declare_channels(path, server)
         sys.stdout.write(f"playing it at {server.url}: Open connection; Ctrl-C ends it\n")
         sys.stdout.flush()
-        warn_if_public(host, server.url, controls=False)
+        warn_if_public(options.host, server.url, controls=False)
         with StopFlag() as stop:
-            stream_log(path, server, stop.is_stopped, speed)
+            stream_log(path, server, stop.is_stopped, options.speed)
     finally:
         server.close()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.jobs.job import Body, Job, execute, output_overrides, policy_of
+from embodichain.cli.jobs.job import Job, Work, execute, output_overrides, policy_of
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.jobs.work.run_job import run_job
 from embodichain.cli.terminal.output import print_facts, print_json
@@ -29,11 +29,12 @@ __all__ = ["command"]
 
 _TASK = "pick_place"
 _SEED = "1"
-_PAGE = {"viewer": "web", "record": "none", "scene_png": "false", "episodes": "100"}
-_FILM = {"video.size": "[400,300]", "scene_png": "false", "episodes": "1"}
-_GONE = 5.0
+_DEFAULTS = {"num_envs": "1", "seed": _SEED}
+_PAGE_DEFAULTS = {"viewer": "web", "record": "none", "scene_png": "false", "episodes": "100"}
+_FILM_DEFAULTS = {"video.size": "[400,300]", "scene_png": "false", "episodes": "1"}
+_BROWSER_TIMEOUT_S = 5.0
 """Seconds without a browser after which the page is closed."""
-_NAP = 0.05
+_POLL_S = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,30 +78,30 @@ def command(options: DemoOptions) -> None:
     if on_page:
         refuse_unread("demo --web", lines)
     typed_keys = {line.partition("=")[0].lstrip("+~") for line in lines}
-    if not {"task", "gym_config"} & typed_keys:
+    if typed_keys.isdisjoint(("task", "gym_config")):
         lines.append(f"task={_TASK}")
     if "policy" not in typed_keys:
-        lines.append(f"policy={_policy(lines)}")
-    defaults = {"num_envs": "1", "seed": _SEED}
-    body: Body
+        lines.append(f"policy={_choose_policy(lines)}")
+    defaults = dict(_DEFAULTS)
+    work: Work
     if on_page:
-        defaults |= _PAGE
-        body = _Page(display)
+        defaults |= _PAGE_DEFAULTS
+        work = _Page(opens_browser=display)
     else:
-        encoder = importlib.util.find_spec("imageio_ffmpeg") is not None
-        defaults |= _FILM
-        defaults["video.format"] = "mp4" if encoder else "gif"
-        body = run_job
+        defaults |= _FILM_DEFAULTS
+        has_encoder = importlib.util.find_spec("imageio_ffmpeg") is not None
+        defaults["video.format"] = "mp4" if has_encoder else "gif"
+        work = run_job
     lines += [f"{key}={value}" for key, value in defaults.items() if key not in typed_keys]
     resolved = resolve([*lines, *output_overrides(options)], "run")
     try:
-        execute(resolved, body, command_line())
+        execute(resolved, work, command_line())
     except RenderError as error:
         raise RenderError(f"{error}\n--web shows it in a browser, without OpenGL here") from error
 
 
-def _policy(lines: list[str]) -> str:
-    """The policy that solves the task.
+def _choose_policy(lines: list[str]) -> str:
+    """Return the policy that solves the task: a trained one that ships, else its expert.
 
     Raises:
         ConfigError: If the task has none, or there is no such task.
@@ -113,11 +114,13 @@ def _policy(lines: list[str]) -> str:
     tasks = pretrained_tasks()
     if name in tasks:
         return "pretrained"
+    if composed.problems:  # they are reported where the task is resolved
+        return "expert"
     task = composed.tree.get("task")
-    if composed.problems or (isinstance(task, dict) and task.get("expert")):
+    if isinstance(task, dict) and task.get("expert"):
         return "expert"
     message = (
-        f"{name} has no `expert`, and no trained policy ships for it (for {', '.join(tasks)}); "
+        f"{name} has no `expert`, and no trained policy ships for it, only for {', '.join(tasks)}; "
         f"`embodichain train task={name}`, then `embodichain play last`"
     )
     raise ConfigError([Problem("task", message)])
@@ -127,11 +130,11 @@ class _Page:
     """Plays episodes on a page, until it is closed, Ctrl-C is pressed, or all are played.
 
     Args:
-        display: Whether to open a browser here.
+        opens_browser: Whether to open a browser here.
     """
 
-    def __init__(self, display: bool) -> None:
-        self._display = display
+    def __init__(self, *, opens_browser: bool) -> None:
+        self._opens_browser = opens_browser
 
     def __call__(self, job: Job) -> float | None:
         """Play; the first step waits for a browser."""
@@ -145,36 +148,36 @@ class _Page:
             view = job.attach_viewer(env, policy)
             obs, _ = env.reset()
             job.begin()
-            if view is None or self._wait(job, view):
+            if view is None or self._wait_for_browser(job, view):
                 last_seen = time.monotonic()
                 for _ in play(env, policy, obs, counted):
                     now = time.monotonic()
                     if view is None or view.watched:
                         last_seen = now
-                    if job.stop.is_stopped() or now - last_seen > _GONE:
+                    if job.stop.is_stopped() or now - last_seen > _BROWSER_TIMEOUT_S:
                         break
         finally:
             env.close()
+        task = job.resolved.task_name
         success = counted.mean("success")
-        facts = {"task": job.resolved.task_name, "episodes": counted.episodes, "success": success}
         if job.root.json:
-            print_json(facts)
+            print_json({"task": task, "episodes": counted.episodes, "success": success})
         elif not job.quiet:
-            shown = None if success is None else f"{success:.0%}"
-            print_facts(str(facts["task"]), [("episodes", counted.episodes), ("success", shown)])
+            share = None if success is None else f"{success:.0%}"
+            print_facts(task, [("episodes", counted.episodes), ("success", share)])
         return success
 
-    def _wait(self, job: Job, view: WebView) -> bool:
-        """Wait for a browser; returns False if the run was stopped."""
-        # Other users can read a browser's command line: what is in it opens one page, once.
+    def _wait_for_browser(self, job: Job, view: WebView) -> bool:
+        """Wait until a browser shows the page; returns False if the run was stopped."""
         url = view.url
-        why = ""
-        if self._display:
+        reason = ""
+        if self._opens_browser:
+            # Other users can read a browser's command line: its URL opens one page, once.
             url = view.url_once
             if not webbrowser.open(url):
-                why = "no browser could be opened here; "
+                reason = "no browser could be opened here; "
         if not job.root.quiet:
-            sys.stderr.write(f"{why}waiting for a browser at {url} (Ctrl-C ends the demo)\n")
+            sys.stderr.write(f"{reason}waiting for a browser at {url} (Ctrl-C ends the demo)\n")
         while not view.watched and not job.stop.is_stopped():
-            time.sleep(_NAP)
+            time.sleep(_POLL_S)
         return view.watched

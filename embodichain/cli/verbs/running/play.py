@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import click
 
 from embodichain.cli.jobs.job import FRESH, execute, output_overrides
-from embodichain.cli.jobs.trained import one_target, take
+from embodichain.cli.jobs.trained import parse_target, pop_override
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.jobs.work.run_job import run_job
 from embodichain.cli.verb import OverrideOptions, command_line, overrides, verb
@@ -45,19 +45,26 @@ class PlayOptions(OverrideOptions):
 @click.option("--episodes", type=int, metavar="N", help=f"How many episodes. Default: {_EPISODES}.")
 def command(options: PlayOptions) -> None:
     """Show episodes of one policy."""
-    target, lines = one_target("play", options.words)
+    target, lines = parse_target("play", options.words)
     refuse_unread("play", lines)
-    typed = take(lines, "episodes", _EPISODES)
-    keys = {line.partition("=")[0] for line in lines}
-    lines += [f"{key}={value}" for key, value in _DEFAULTS.items() if key not in keys]
-    lines += [f"episodes={options.episodes or typed}", *output_overrides(options)]
+    episodes = pop_override(lines, "episodes", _EPISODES)
+    if options.episodes:
+        episodes = str(options.episodes)
+    typed_keys = {line.partition("=")[0] for line in lines}
+    lines += [f"{key}={value}" for key, value in _DEFAULTS.items() if key not in typed_keys]
+    lines.append(f"episodes={episodes}")
+    lines += output_overrides(options)
     resolved = target.resolve(lines, FRESH)
-    _need_display(target.policy, lines)
+    _check_display(target.policy, lines)
     execute(resolved, run_job, command_line())
 
 
-def _need_display(name: str, lines: list[str]) -> None:
-    """Report before building that there is no display, with alternatives."""
+def _check_display(name: str, lines: list[str]) -> None:
+    """Check before building that a window can be opened, if one is asked for.
+
+    Raises:
+        ConfigError: There is no display; names what shows or plays the policy without one.
+    """
     from embodichain.utils.system.display import has_display
 
     if "viewer=native" in lines and not has_display():

@@ -18,55 +18,81 @@ from embodichain.cli.verb import JobOptions, OverrideOptions, overrides, verb
 from embodichain.compat.gym_utils import RENDERERS
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["command"]
+__all__ = ["FLAGS", "Flag", "command"]
 
-_KEYS = {
-    "num_envs": (int, "num_envs", "Environments that run in parallel."),
-    "max_episodes": (int, "episodes", "Episodes of each environment."),
-    "seed": (int, "seed", "Seed of every random stream."),
-    "device": (str, "device", "Where physics runs: cpu, cuda or cuda:N."),
-    "viser_host": (str, "viewer.host", "The address to listen on."),
-    "viser_port": (int, "viewer.port", "The port."),
-}
-"""Flag -> type, key of the config of a run, help."""
-_SWITCHES = {
-    "headless": "Open no window.",
-    "viser": "Show an environment in a browser.",
-    "filter_visual_rand": "Leave out visual randomization.",
-}
-_NO_EFFECT: dict[str, tuple[Any, str]] = {
-    "renderer": (click.Choice(RENDERERS), "cameras and viewers draw with rasterizers"),
-    "arena_space": (float, "every environment is its own world"),
-    "action_config": (
+
+@dataclass(frozen=True)
+class Flag:
+    """A flag of EmbodiChain's command.
+
+    Attributes:
+        name: Its name, and the field of `RunEnvOptions`.
+        value_type: Type of its value; a flag of type bool has none.
+        help: What the help says of it.
+        key: The key of a run's config that it sets; empty if it does something else.
+        why_no_effect: Why it has no effect; empty if it has one.
+    """
+
+    name: str
+    value_type: Any
+    help: str = "No effect."
+    key: str = ""
+    why_no_effect: str = ""
+
+    def option(self) -> Any:
+        """The decorator that adds it to a verb, in both spellings and without a default."""
+        spellings = sorted({f"--{self.name}", f"--{self.name.replace('_', '-')}"})
+        if self.value_type is bool:
+            return click.option(*spellings, self.name, help=self.help, is_flag=True)
+        return click.option(*spellings, self.name, help=self.help, type=self.value_type)
+
+
+FLAGS = (
+    Flag("gym_config", str, "EmbodiChain's config of a task: YAML or JSON."),
+    Flag("num_envs", int, "Environments that run in parallel.", key="num_envs"),
+    Flag("max_episodes", int, "Episodes of each environment.", key="episodes"),
+    Flag("seed", int, "Seed of every random stream.", key="seed"),
+    Flag("device", str, "Where physics runs: cpu, cuda or cuda:N.", key="device"),
+    Flag("viser_host", str, "The address to listen on.", key="viewer.host"),
+    Flag("viser_port", int, "The port.", key="viewer.port"),
+    Flag("headless", bool, "Open no window."),
+    Flag("viser", bool, "Show an environment in a browser."),
+    Flag("filter_visual_rand", bool, "Leave out visual randomization."),
+    Flag(
+        "renderer",
+        click.Choice(RENDERERS),
+        why_no_effect="cameras and viewers draw with rasterizers",
+    ),
+    Flag("arena_space", float, why_no_effect="every environment is its own world"),
+    Flag(
+        "action_config",
         str,
-        "declare `expert:` in the task: `embodichain collect` plays it",
+        why_no_effect="declare `expert:` in the task: `embodichain collect` plays it",
     ),
-    "gpu_id": (int, "it numbers the card of --device cuda"),
-    "preview": (bool, "viewer=web shows the run in a browser, viewer=native in a window"),
-    "filter_dataset_saving": (
+    Flag("gpu_id", int, why_no_effect="it numbers the card of --device cuda"),
+    Flag(
+        "preview",
         bool,
-        "a run writes a log; `embodichain export` makes a data set of it",
+        why_no_effect="viewer=web shows the run in a browser, viewer=native in a window",
     ),
-    "viser_env_ids": (str, "the environment is chosen on the page"),
-    "viser_fps": (float, "the page draws as fast as the browser requests"),
-    "viser_image_fps": (float, "there are no camera images on the page"),
-    "viser_soft_body_fps": (float, "there are no soft bodies"),
-}
-"""Flag -> type, and why it has no effect."""
+    Flag(
+        "filter_dataset_saving",
+        bool,
+        why_no_effect="a run writes a log; `embodichain export` makes a data set of it",
+    ),
+    Flag("viser_env_ids", str, why_no_effect="the environment is chosen on the page"),
+    Flag("viser_fps", float, why_no_effect="the page draws as fast as the browser requests"),
+    Flag("viser_image_fps", float, why_no_effect="there are no camera images on the page"),
+    Flag("viser_soft_body_fps", float, why_no_effect="there are no soft bodies"),
+)
+"""EmbodiChain's flags, in the order of the help."""
 
 
-def _flags(function: Any) -> Any:
-    """Add EmbodiChain's flags in both spellings, without defaults."""
-    file = "EmbodiChain's config of a task: YAML or JSON."
-    flags: list[tuple[str, Any, str]] = [("gym_config", str, file)]
-    flags += [(name, kind, text) for name, (kind, _, text) in _KEYS.items()]
-    flags += [(name, bool, text) for name, text in _SWITCHES.items()]
-    flags += [(name, kind, "No effect.") for name, (kind, _) in _NO_EFFECT.items()]
-    for name, kind, text in reversed(flags):
-        spellings = {f"--{name}", f"--{name.replace('_', '-')}"}
-        how: dict[str, Any] = {"is_flag": True} if kind is bool else {"type": kind}
-        function = click.option(*sorted(spellings), name, help=text, **how)(function)
-    return function
+def _add_flags(command: Any) -> Any:
+    """Add EmbodiChain's flags to a verb."""
+    for flag in reversed(FLAGS):
+        command = flag.option()(command)
+    return command
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +110,7 @@ class RunEnvOptions(OverrideOptions):
         headless: Open no window.
         viser: Show an environment in a browser.
         filter_visual_rand: Leave out visual randomization.
-        renderer: No effect, as all that follow; see `_NO_EFFECT`.
+        renderer: No effect, as all that follow; see `FLAGS`.
         arena_space: No effect.
         action_config: No effect.
         gpu_id: The card of ``device=cuda``; else no effect.
@@ -126,7 +152,7 @@ class RunEnvOptions(OverrideOptions):
     quiet=True,
 )
 @overrides()
-@_flags
+@_add_flags
 def command(options: RunEnvOptions) -> None:
     """Translate the flags, then run.
 
@@ -138,10 +164,11 @@ def command(options: RunEnvOptions) -> None:
         raise ConfigError("no gym config is named: embodichain run-env --gym_config FILE")
     if options.device == "cuda" and options.gpu_id is not None:
         options = replace(options, device=f"cuda:{options.gpu_id}", gpu_id=None)
-    for flag, (_, why) in _NO_EFFECT.items():
-        value = getattr(options, flag)
-        if value is not None and value is not False:  # 0 is a value that was typed
-            sys.stderr.write(f"note: --{flag} has no effect: {why}\n")
+    for flag in FLAGS:
+        value = getattr(options, flag.name)
+        was_typed = value is not None and value is not False  # 0 is a value that was typed
+        if flag.why_no_effect and was_typed:
+            sys.stderr.write(f"note: --{flag.name} has no effect: {flag.why_no_effect}\n")
     job = JobOptions(
         words=tuple(_overrides(options, gym_config)),
         gym_config=gym_config,
@@ -152,19 +179,20 @@ def command(options: RunEnvOptions) -> None:
 
 
 def _overrides(options: RunEnvOptions, gym_config: str) -> Iterator[str]:
-    """The overrides of `run` that the flags stand for, and those that were typed."""
-    for flag, (_, key, _) in _KEYS.items():
-        value = getattr(options, flag)
-        if value is not None:
-            yield f"{key}={value}"
+    """Yield the overrides of `run` that the flags mean, and those that were typed."""
+    for flag in FLAGS:
+        value = getattr(options, flag.name)
+        if flag.key and value is not None:
+            yield f"{flag.key}={value}"
     if options.viser:
         yield "viewer=web"
     if options.filter_visual_rand:
-        yield from (f"~task.events.{name}" for name in _visual_events(gym_config))
-    several_ids = options.viser_env_ids is not None  # --viser-env-ids 0 1 2
+        for name in _visual_events(gym_config):
+            yield f"~task.events.{name}"
     for word in options.words:
-        is_id = word.isdigit() or word == "all"
-        if not (several_ids and is_id):
+        # EmbodiChain's --viser-env-ids takes several values; click leaves all but the first.
+        is_env_id = word.isdigit() or word == "all"
+        if options.viser_env_ids is None or not is_env_id:
             yield word
 
 

@@ -62,11 +62,11 @@ def command(options: ShowOptions) -> None:
             raise ConfigError("show term NAME: one name; `embodichain list terms` lists them")
         _show_term(options.words[1], json=options.json)
         return
-    from embodichain.cli.jobs.job import pinned
+    from embodichain.cli.jobs.job import pin_last
     from embodichain.config.resolved import resolve
 
     overrides = split_overrides(options.words)
-    resolved = pinned(resolve(overrides, verb_of_keys(overrides)))
+    resolved = pin_last(resolve(overrides, verb_of_keys(overrides)))
     if options.config:
         _show_config(resolved, json=options.json)
     else:

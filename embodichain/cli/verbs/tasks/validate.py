@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.jobs.job import check_extras, check_job, pinned
+from embodichain.cli.jobs.job import check_extras, check_job, pin_last
 from embodichain.cli.jobs.unread_keys import verb_of_keys
 from embodichain.cli.jobs.work.demonstrations import first_episode
 from embodichain.cli.terminal import process
@@ -27,7 +27,7 @@ from embodichain.cli.words import split_overrides
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.keys.schema import Verb
+    from embodichain.config.keys.schema import JobVerb
     from embodichain.config.resolved import Checked, Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.compiler.compile_scene import CompiledScene
@@ -84,7 +84,7 @@ def command(options: ValidateOptions) -> int:
             config = _check_file(name, _verb(options) or "run", notes)
         else:
             config = _check_overrides(split_overrides(options.words), _verb(options), notes)
-        further_notes, problems = _every_mistake(config, notes)
+        further_notes, problems = _find_mistakes(config, notes)
         notes += further_notes
     except ConfigError as error:
         problems = error.problems
@@ -106,7 +106,7 @@ def command(options: ValidateOptions) -> int:
     return process.OK
 
 
-def _verb(options: ValidateOptions) -> Verb | None:
+def _verb(options: ValidateOptions) -> JobVerb | None:
     """The verb whose config was asked for; None without an option."""
     if options.train:
         return "train"
@@ -120,7 +120,7 @@ def _is_file_name(word: str) -> bool:
     return "=" not in word and word.endswith((".yaml", ".yml", ".json"))
 
 
-def _check_file(name: str, verb: Verb, notes: list[Problem]) -> Checked:
+def _check_file(name: str, verb: JobVerb, notes: list[Problem]) -> Checked:
     """Check a file, and add notes about it to a list."""
     from embodichain.config.file_validation import checked_file, notes_on_file
 
@@ -128,7 +128,7 @@ def _check_file(name: str, verb: Verb, notes: list[Problem]) -> Checked:
     return checked_file(name, verb)
 
 
-def _check_overrides(lines: list[str], verb: Verb | None, notes: list[Problem]) -> Checked:
+def _check_overrides(lines: list[str], verb: JobVerb | None, notes: list[Problem]) -> Checked:
     """Check a composed config, and add notes about it to a list.
 
     Args:
@@ -144,7 +144,7 @@ def _check_overrides(lines: list[str], verb: Verb | None, notes: list[Problem]) 
     return check_job(composed, job_verb, any_key=verb is None)
 
 
-def _every_mistake(
+def _find_mistakes(
     config: Checked, before: Sequence[Problem]
 ) -> tuple[list[Problem], tuple[Problem, ...]]:
     """Check a config as far as a job of it can be, also where a part of it has mistakes.
@@ -167,27 +167,27 @@ def _every_mistake(
     problems = list(config.check.problems)
     root = config.check.types.root
     if problems and root is not None:
-        with _collecting(problems, config.locating):
+        with _collect_mistakes(problems, config.locating):
             check_extras(root)
         roots = {problem.path.partition(".")[0] for problem in problems}
         if config.verb == "train" and roots == {"task"}:
             from embodichain.learning.training.train import check_training
 
             rest = replace(config, check=replace(config.check, problems=[]))
-            with _collecting(problems, config.locating):
+            with _collect_mistakes(problems, config.locating):
                 check_training(rest.resolved())
     elif not problems:
         with warnings_on_stderr():
-            resolved = pinned(config.resolved())
+            resolved = pin_last(config.resolved())
             notes += [note for note in resolved.notes if note not in before]
-            with _collecting(problems, resolved.locating):
+            with _collect_mistakes(problems, resolved.locating):
                 if config.verb == "train":
                     from embodichain.learning.training.train import check_training
 
                     check_training(resolved)
-            with _collecting(problems, resolved.locating):
+            with _collect_mistakes(problems, resolved.locating):
                 check_extras(resolved.root)
-            with _collecting(problems, resolved.locating):
+            with _collect_mistakes(problems, resolved.locating):
                 scene = compile_scene_of(resolved)
                 num_notes = len(resolved.notes)
                 resolved = with_warp_values(resolved, config.verb, compiled_scene=scene)
@@ -199,7 +199,7 @@ def _every_mistake(
 
 
 @contextmanager
-def _collecting(
+def _collect_mistakes(
     problems: list[Problem], locating: Callable[[], AbstractContextManager[None]]
 ) -> Iterator[None]:
     """Add the mistakes that are raised inside the context, with their places, to a list."""
@@ -219,7 +219,7 @@ def _build(resolved: Resolved) -> None:
 
 
 def _try_out(
-    resolved: Resolved, compiled_scene: CompiledScene | None, verb: Verb, *, complete: bool
+    resolved: Resolved, compiled_scene: CompiledScene | None, verb: JobVerb, *, complete: bool
 ) -> list[Problem]:
     """Build what the job builds, reset it and take one step.
 
