@@ -1251,15 +1251,15 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
             self.copies = StepCopies(self)
             self._attach(self.copies)
-        return self.copies.host
+        return self.copies.copied_env
 
     def remove_observer(self, observer: StepObserver) -> None:
         """Detach an observer; ValueError if it is not attached."""
         attached: StepObserver = observer
         if self.copies is not None:
             self.copies.flush()
-            self.copies.host.observers.remove(observer)
-            if self.copies.host.observers:
+            self.copies.copied_env.observers.remove(observer)
+            if self.copies.copied_env.observers:
                 return
             # Without observers of the copy, steps need not be copied.
             attached = self.copies

@@ -315,7 +315,7 @@ class Execution:
 
     def _obstacles(self, arm: _ArmExecution, row: int) -> str:
         """Return what an arm's robot, and what the arm holds, touches in an environment."""
-        robot = frozenset(map(int, arm.arm.asset.entity.body_ids))
+        robot = frozenset(map(int, arm.arm.asset.index.body_ids))
         return obstacles(self.env.sim.engine, row, robot, arm.grasp.held_bodies(row))
 
     # -- actions -----------------------------------------------------------------------------------

@@ -187,7 +187,7 @@ def _opening_motion(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm) -> F64
     force = arm.gripper.opening_force(data)
     is_moving = force != 0.0
     is_held = np.zeros(model.nv, np.bool_)
-    is_held[np.asarray(arm.asset.entity.dof_adr, np.int64)[arm.term.solver.moving]] = True
+    is_held[np.asarray(arm.asset.index.dof_adr, np.int64)[arm.term.solver.moving]] = True
     is_held &= ~is_moving
     equalities = [row.without(is_held) for row in _active_equalities(model, data)]
     while True:  # what moves also moves what it is coupled with, until nothing is added

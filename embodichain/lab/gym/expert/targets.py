@@ -106,7 +106,7 @@ class TargetPoses:
         entity = self._env.scene_entity(reference)
         if entity.link_body is not None:
             return frozenset([int(entity.link_body)])
-        return frozenset(map(int, entity.asset.entity.body_ids))
+        return frozenset(map(int, entity.asset.index.body_ids))
 
     def _make_reader(self, target: Target, path: str) -> Callable[[], Poses]:
         """Return the function that reads the poses of one target."""

@@ -116,7 +116,7 @@ class Drives:
     def __init__(self, handle: Handle[EntityIndex], parsed: ParsedArticulation) -> None:
         self.parsed = parsed
         self._handle = handle
-        self._arrays = handle.host.arrays
+        self._arrays = handle.sim.arrays
         count = handle.num_instances
         for name in (*GAINS, "joint_damping"):
             setattr(self, name, self._arrays.put(np.tile(getattr(parsed, name), (count, 1))))

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.sensing.sensor_plans import SceneNames, SensorPlan
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
-    from embodichain.lab.sim.objects.host import Host
+    from embodichain.lab.sim.objects.sim_context import SimContext
     from embodichain.lab.sim.sensors.sampling import Readings
     from embodichain.utils.array_types import Floats
     from embodichain.utils.errors import Problem
@@ -113,7 +113,7 @@ class Camera(BaseSensor):
     )
     index: CameraIndex
 
-    def __init__(self, plan: SensorPlan, host: Host) -> None:
+    def __init__(self, plan: SensorPlan, host: SimContext) -> None:
         super().__init__(plan, host)
         if not isinstance(plan.cfg, CameraCfg):
             raise TypeError(f"{plan.uid}: expected the config of a camera, got {plan.cfg!r}")
@@ -194,13 +194,13 @@ class Camera(BaseSensor):
     def measure(self, env_ids: EnvIndex | None) -> Readings:
         """Draw its images, (n, H, W, ...) each."""
         self.was_drawn = True
-        shots = self._draw_on_device() if self.host.arrays.on_device else self._draw(env_ids)
+        shots = self._draw_on_device() if self.sim.arrays.on_device else self._draw(env_ids)
         return tuple(self._image(name, shots) for name in self.reads)
 
     def _draw(self, env_ids: EnvIndex | None) -> list[_Shot]:
         views = [self._view(camera) for camera in self.index.ids]
         try:
-            pictures = self.host.draw(views, env_ids)
+            pictures = self.sim.draw(views, env_ids)
         except RenderError as error:
             raise RenderError(f"camera {self.uid!r}: {error}") from error
 
@@ -386,7 +386,7 @@ class Camera(BaseSensor):
 
     def _to_arrays(self, values: Floats) -> Floats:
         """Put values of the model where arrays are; those that all share are on the host."""
-        return self.host.arrays.constant(values) if is_host(values) else values
+        return self.sim.arrays.constant(values) if is_host(values) else values
 
     def write_intrinsics(self, lens: Floats, env_ids: EnvIndex | None, side: int = 0) -> None:
         """Set fx, fy, cx, cy (n, 4) in pixels from a checked array.
@@ -456,7 +456,7 @@ class StereoCamera(Camera):
         "disparity",
     )
 
-    def __init__(self, plan: SensorPlan, host: Host) -> None:
+    def __init__(self, plan: SensorPlan, host: SimContext) -> None:
         super().__init__(plan, host)
         if not isinstance(plan.cfg, StereoCameraCfg):
             raise TypeError(f"{plan.uid}: expected the config of a stereo camera")

@@ -224,7 +224,7 @@ class RayCaster(BaseSensor):
         if self.cfg.alignment == "yaw":
             axes = _heading(axes)
         elif self.cfg.alignment == "world":
-            axes = np.broadcast_to(self.host.arrays.constant(np.eye(3)), axes.shape)
+            axes = np.broadcast_to(self.sim.arrays.constant(np.eye(3)), axes.shape)
         return position, axes
 
     def _cast(self, env_ids: EnvIndex | None, raised: float = 0.0, normal: bool = False) -> _Cast:

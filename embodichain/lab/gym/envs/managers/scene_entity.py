@@ -174,14 +174,14 @@ class ResolvedEntity:
             ConfigError: If several were picked.
         """
         if self.frame_name is None:
-            return link_frame(int(self.asset.entity.root_body_id))
+            return link_frame(int(self.asset.index.root_body_id))
         return frame_named(self.asset.engine.model, self.kind, self.in_model[0])
 
     @cached_property
     def frames(self) -> BodyFrames:
         """All picked links, sites or geoms, else the root, in the compiled scene."""
         if not self.frame_names:
-            root = int(self.asset.entity.root_body_id)
+            root = int(self.asset.index.root_body_id)
             return BodyFrames("link", slice(root, root + 1), slice(root, root + 1))
         return frames_named(self.asset.engine.model, self.kind, self.in_model)
 
@@ -206,7 +206,7 @@ class ResolvedEntity:
 
     @cached_property
     def _dofs(self) -> NDArray[np.int64]:
-        return np.asarray(self.asset.entity.dof_adr, np.int64)[self._columns]
+        return np.asarray(self.asset.index.dof_adr, np.int64)[self._columns]
 
     def _pick(self, values: Floats) -> Floats:
         return values if self.all_joints else values[:, self._columns]
@@ -228,7 +228,7 @@ class ResolvedEntity:
     @cached_property
     def _initial_rows(self) -> Floats:
         rows = np.tile(self.initial_qpos, (self.asset.num_instances, 1))
-        return self.asset.host.arrays.put(rows)
+        return self.asset.sim.arrays.put(rows)
 
     def displacement(self) -> Floats:
         """(N, K) joint positions minus the initial ones, rad or m."""
@@ -295,7 +295,7 @@ class ResolvedEntity:
         low, high = self.asset.drives.limits.of(self._columns, None)
         if self._was_checked(low, "ranges"):
             return low, high
-        is_limited = self.asset.host.arrays.host(np.isfinite(low) & np.isfinite(high))
+        is_limited = self.asset.sim.arrays.host(np.isfinite(low) & np.isfinite(high))
         if not is_limited.all():
             is_limited_everywhere = np.asarray(is_limited.all(axis=0))
             joints = zip(self.joint_names, is_limited_everywhere, strict=True)
@@ -344,7 +344,7 @@ class ResolvedEntity:
         return False
 
     def _require_limits(self, is_limited: NDArray[np.bool_], what: str) -> None:
-        if not self.asset.host.arrays.host(is_limited).any():
+        if not self.asset.sim.arrays.host(is_limited).any():
             names = ", ".join(self.joint_names)
             message = f"none of the joints picked of {self.uid!r} has limits of {what}: {names}"
             raise ConfigError([Problem(self.path, message)])

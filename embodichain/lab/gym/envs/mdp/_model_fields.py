@@ -128,7 +128,7 @@ def _links_or_object(
     if not hasattr(asset, "parsed"):
         if moving:
             need_object(entity, what)
-        return [entity.uid], np.array([asset.entity.root_body_id], np.int64)
+        return [entity.uid], np.array([asset.index.root_body_id], np.int64)
     names = list(entity.link_names or asset.parsed.link_names)
     return names, np.array([asset.body_of(name) for name in names], np.int64)
 
@@ -286,8 +286,8 @@ def _friction_values(entity: ResolvedEntity, options: Options, axis: int) -> Val
 def _colliding_geoms(entity: ResolvedEntity) -> NDArray[np.int64]:
     """The geoms of an entity that collide, with any of its shapes if it has several."""
     model = entity.asset.engine.model
-    geoms = np.asarray(entity.asset.entity.geom_ids, np.int64)
-    variants = entity.asset.entity.variants
+    geoms = np.asarray(entity.asset.index.geom_ids, np.int64)
+    variants = entity.asset.index.variants
     if variants is None:
         return geoms[(model.geom_contype[geoms] | model.geom_conaffinity[geoms]) != 0]
     return geoms[(variants.contype | variants.conaffinity).any(axis=0)]
@@ -329,7 +329,7 @@ def _picked_joints(entity: ResolvedEntity, driven: bool) -> NDArray[np.int64]:
     entity.require_whole()
     asset = entity.asset
     joints = np.asarray(entity.joint_ids, np.int64)
-    undriven = joints[np.asarray(asset.entity.actuator_ids, np.int64)[joints] < 0]
+    undriven = joints[np.asarray(asset.index.actuator_ids, np.int64)[joints] < 0]
     if driven and (len(undriven) or not len(joints)):
         names = ", ".join(asset.parsed.joint_names[i] for i in undriven) or "(no joint)"
         message = f"joints of {entity.uid!r} without a drive: {names}"
@@ -380,7 +380,7 @@ def _strength_values(entity: ResolvedEntity, options: Options) -> Values:
     """Factors of drives, and of a file's own actuators on the picked joints."""
     need_articulation(entity)
     asset = entity.asset
-    index = asset.entity
+    index = asset.index
     model = asset.engine.model
     joints = np.asarray(entity.joint_ids, np.int64)
     driven_joints = joints[np.asarray(index.actuator_ids, np.int64)[joints] >= 0]

@@ -93,7 +93,7 @@ def tool_links(entity: ResolvedEntity) -> list[str]:
     parts = entity.control_parts or ("default",)
     if len(parts) == 1 and parts[0] in asset.parsed.tools:
         return [asset.parsed.tools[parts[0]]]
-    link_bodies = list(asset.entity.body_ids)
+    link_bodies = list(asset.index.body_ids)
     link_names = asset.parsed.link_names
     return [link_names[link_bodies.index(body)] for body in tool_bodies(asset, entity.joint_ids)]
 

@@ -110,7 +110,7 @@ class AbsolutePose:
 
         root_pos = np.zeros(3)
         if self._is_world:
-            root_pos = np.asarray(asset.entity.pos0, np.float64)
+            root_pos = np.asarray(asset.index.pos0, np.float64)
         if position_range is None:
             low = root_pos - solver.chain.reach
             high = root_pos + solver.chain.reach
@@ -132,7 +132,7 @@ class AbsolutePose:
         initial_qpos = np.asarray(asset.parsed.init_qpos, np.float64)[None]
         pos, quat = solver.forward_in_root(initial_qpos, np.zeros(1, np.int64))
         if self._is_world:
-            root_quat = np.asarray(asset.entity.quat0, np.float64)[None]
+            root_quat = np.asarray(asset.index.quat0, np.float64)[None]
             pos = root_pos + quat_rotate(root_quat, pos)
             quat = quat_multiply(root_quat, quat)
         self.home: Floats = self.action_at(pos, quat)[0]

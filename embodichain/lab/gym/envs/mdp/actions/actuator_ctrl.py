@@ -92,7 +92,7 @@ class ActuatorCtrl(ActionTerm):
     def _control_ranges(self, parsed: Any) -> tuple[Floats, Floats]:
         """Low and high of the controls, (A,) each; infinite where nothing bounds them."""
         limits: Floats = parsed.ctrl_limits.copy()
-        index = self._asset.entity
+        index = self._asset.index
         joints = np.flatnonzero((index.ctrl_ids >= 0) & (parsed.stiffness > 0))
         low, high = finite_limits(parsed.qpos_limits, joints)
         # The joint's limits in units of ctrl; a negative scale turns them round.

@@ -194,7 +194,7 @@ class JointTerm(ActionTerm):
     def _check_drives(self) -> None:
         """Refuse joints without a drive; name the actuators that move them instead."""
         parsed = self._asset.parsed
-        has_drive = np.asarray(self._asset.entity.actuator_ids)[self._ids] >= 0
+        has_drive = np.asarray(self._asset.index.actuator_ids)[self._ids] >= 0
         undriven = [self.names[i] for i in np.flatnonzero(~has_drive)]
         if not undriven:
             return
@@ -262,7 +262,7 @@ class VelocityTargets:
         self._asset = asset
         self._joints = joints
         self._period = period
-        to_host = asset.host.arrays.host
+        to_host = asset.sim.arrays.host
         has_stiffness = to_host(asset.drives.stiffness)[0, joints] > 0
         has_damping = to_host(asset.drives.damping)[0, joints] > 0
         undriven = [asset.parsed.joint_names[j] for j in joints[~(has_stiffness | has_damping)]]
@@ -307,8 +307,8 @@ class Efforts:
     def __init__(self, asset: Any, joints: NDArray[np.int64]) -> None:
         self._asset = asset
         self._joints = joints
-        self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[joints]
-        has_stiffness = asset.host.arrays.host(asset.drives.stiffness)[0, joints] > 0
+        self._dofs = np.asarray(asset.index.dof_adr, np.int64)[joints]
+        has_stiffness = asset.sim.arrays.host(asset.drives.stiffness)[0, joints] > 0
         if has_stiffness.any():
             logger.warning(
                 "joint_effort: joints %s have a drive with stiffness that keeps its own target "

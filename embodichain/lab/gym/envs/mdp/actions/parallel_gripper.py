@@ -228,7 +228,7 @@ class ParallelGripper(JointTerm):
         if self._controls is not None:
             return self._controls.force(self._asset, model, data, np.sign(self._span))
         force = np.zeros(model.nv)
-        force[np.asarray(self._asset.entity.dof_adr)[self._ids]] = np.sign(self._span)
+        force[np.asarray(self._asset.index.dof_adr)[self._ids]] = np.sign(self._span)
         return force
 
     def _share(self, position: Floats) -> Floats:
@@ -309,7 +309,7 @@ class _Controls:
         self, asset: Any, model: mujoco.MjModel, data: mujoco.MjData, signs: Floats
     ) -> Floats:
         """(nv,) generalized forces of controls that are raised (1) or lowered (-1), (A,)."""
-        columns = np.asarray(asset.entity.own_ctrl_ids)[self.which]
+        columns = np.asarray(asset.index.own_ctrl_ids)[self.which]
         force: Floats = np.zeros(model.nv)
         for actuator in range(model.nu):
             first = model.actuator_ctrladr[actuator]

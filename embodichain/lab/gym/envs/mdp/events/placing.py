@@ -66,7 +66,7 @@ def need_free_root(entity: ResolvedEntity) -> None:
     Raises:
         ConfigError: If its base is fixed, or it is an object that is not dynamic.
     """
-    if entity.asset.entity.free_qvel_adr < 0:
+    if entity.asset.index.free_qvel_adr < 0:
         message = (
             f"{entity.uid!r} cannot get a velocity: it needs body_type: dynamic (an object) or "
             "fix_base: false (a robot)"
@@ -76,7 +76,7 @@ def need_free_root(entity: ResolvedEntity) -> None:
 
 def read_root_velocity(asset: Any) -> Floats:
     """(N, 6) linear velocity of the root's origin in m/s, then angular in rad/s; a copy."""
-    start = asset.entity.free_qvel_adr
+    start = asset.index.free_qvel_adr
     qvel = asset.engine.state("qvel")[:, start : start + 6]
     _, quat = asset.read_pose()
     return np.concatenate([qvel[:, :3], quat_rotate(quat, qvel[:, 3:])], axis=1)
@@ -90,7 +90,7 @@ def write_root_velocity(asset: Any, velocity: Floats, env_ids: EnvIndex | None) 
         velocity: (n, 6) linear in m/s, then angular in rad/s.
         env_ids: (n,) environments, or None for all.
     """
-    start = asset.entity.free_qvel_adr
+    start = asset.index.free_qvel_adr
     _, quat = asset.read_pose()
     if env_ids is not None:
         quat = quat[env_ids]
@@ -148,7 +148,7 @@ class ResetRootStateUniform(Term):
             need_free_root(entity_cfg)
         self._asset = entity_cfg.asset
         self._ground = ground_of(env)
-        index = entity_cfg.asset.entity
+        index = entity_cfg.asset.index
         self._has_velocity = index.free_qvel_adr >= 0
         self._pos0 = _rows_of(index.pos0, env)
         self._quat0 = _rows_of(index.quat0, env)
@@ -228,8 +228,8 @@ class RandomizePose(Term):
         if relative_to is not None and not relative_position:
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
-        self._pos0 = _rows_of(asset.entity.pos0, env)
-        self._quat0 = _rows_of(asset.entity.quat0, env)
+        self._pos0 = _rows_of(asset.index.pos0, env)
+        self._quat0 = _rows_of(asset.index.quat0, env)
         self._relative_to = relative_to
         self._ground = ground_of(env) if relative_to is None else None
         self._position: Uniform | None = None
@@ -237,7 +237,7 @@ class RandomizePose(Term):
             shift: Any = 0.0
             if relative_position and relative_to is None:
                 # Added to the bounds, so that what is drawn and logged is the position.
-                shift = np.asarray(asset.entity.pos0, np.float64)
+                shift = np.asarray(asset.index.pos0, np.float64)
             low, high = (np.asarray(bound) + shift for bound in position_range)
             self._position = Uniform("position", low, high)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
@@ -328,7 +328,7 @@ class RandomizeObjectPositionInShell(Term):
             [radius_range[i] ** 3, azimuth_range[i], np.sin(elevation_range[i])] for i in (0, 1)
         )
         self._shell = Uniform("shell", low, high)
-        self._quat = _rows_of(self._asset.entity.quat0, env)
+        self._quat = _rows_of(self._asset.index.quat0, env)
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
@@ -380,7 +380,7 @@ class RandomizeRobotEefPose(Term):
         self._arm = arm_solver(entity_cfg)
         self._position = Uniform.within("position", position_range)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
-        index = self._asset.entity
+        index = self._asset.index
         self._dofs = np.asarray(index.dof_adr, np.int64)
         self._driven = np.flatnonzero(np.asarray(index.actuator_ids) >= 0)
 

@@ -145,7 +145,7 @@ class ApplyExternalForceTorque(Term):
         torque_range: Range = (0.0, 0.0),
     ) -> None:
         asset = entity_cfg.asset
-        index = asset.entity
+        index = asset.index
         if not entity_cfg.frame_ids and index.free_qvel_adr < 0:
             message = (
                 f"the root of {entity_cfg.uid!r} does not move, forces have no effect on it: "

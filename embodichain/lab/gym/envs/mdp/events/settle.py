@@ -173,5 +173,5 @@ def _velocities(asset: Any) -> list[Floats]:
     """(N, 6) linear and angular velocities, of the object or of each link."""
     if not hasattr(asset, "parsed"):
         return [read_root_velocity(asset)]
-    bodies = asset.entity.body_ids
+    bodies = asset.index.body_ids
     return [asset.velocity_of(int(body)) for body in bodies]

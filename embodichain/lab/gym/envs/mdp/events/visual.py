@@ -44,7 +44,7 @@ class _Surface:
         asset = entity.asset
         self._engine = asset.engine
         model = asset.engine.model
-        geoms = np.asarray(asset.entity.geom_ids)
+        geoms = np.asarray(asset.index.geom_ids)
         if entity.kind == "geom":
             geoms = np.arange(model.ngeom)[entity.frames.ids]
         elif entity.link_ids:

@@ -106,7 +106,7 @@ class CameraMask(Term):
         self, env: TermContext, sensor: CameraOf, entity_cfg: Whole, side: Side = "left"
     ) -> None:
         self._sensor, self._name = sensor, _named(sensor, "mask", side, "sensor")
-        self._number = entity_cfg.asset.entity.root_body_id
+        self._number = entity_cfg.asset.index.root_body_id
 
     def __call__(self) -> NDArray[np.uint8]:
         """(N, 1, H, W)."""
