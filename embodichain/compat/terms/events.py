@@ -92,7 +92,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
             robot_cfg = env.scene_entity(picked | tool)
         env.arrays.require_host("searches for joint positions")
         self._arm = arm_solver(robot_cfg, "robot_cfg")
-        self._robot = robot_cfg.asset
+        self._robot = robot_cfg.articulation
         self._asset = entity_cfg.asset
         box = np.array(position_bounds, np.float64)
         if reference_height is not None:

@@ -239,7 +239,7 @@ class UniformJointPositionCommand(CommandTerm):
         self._env = env
         self._entity = entity_cfg
         self.names = entity_cfg.joint_names
-        parsed = entity_cfg.asset.parsed
+        parsed = entity_cfg.articulation.parsed
         ids = list(entity_cfg.joint_ids)
         home = np.asarray(parsed.init_qpos, np.float64)[ids]
         limits = np.asarray(parsed.qpos_limits, np.float64)[ids]
@@ -267,7 +267,7 @@ class UniformJointPositionCommand(CommandTerm):
 
     def metrics(self) -> Mapping[str, Floats]:
         """Distance of the joints from the command."""
-        qpos: Any = self._entity.asset.read_qpos()
+        qpos = self._entity.articulation.read_qpos()
         if not self._entity.all_joints:
             qpos = qpos[:, list(self._entity.joint_ids)]
         return {"joint_error": norm(qpos - self.values)}

@@ -6,7 +6,7 @@ Poses are in the environment's frame, unless a name says otherwise; quaternions 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.gym.envs.managers.param_types import Box3
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.utils.array_types import Floats
 
 __all__ = [
@@ -96,7 +97,7 @@ class AbsolutePose:
 
     def __init__(
         self,
-        asset: Any,
+        asset: Articulation,
         solver: ArmSolver,
         env: TermContext,
         frame: Literal["base", "world"],

@@ -173,13 +173,13 @@ class JointTerm(ActionTerm):
         driven: bool = True,
         positions: bool = True,
     ) -> None:
-        asset = entity.asset
-        if not hasattr(asset, "parsed"):
+        asset = entity.articulation
+        if not entity.is_articulation:
             raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])
         if not entity.joint_ids:
             raise ConfigError([Problem("entity_cfg", f"{entity.uid!r} has no active joint")])
         self.names = entity.joint_names
-        self._asset: Any = asset
+        self._asset = asset
         self._ids: NDArray[np.int64] = np.asarray(entity.joint_ids, np.int64)
         self._joints = None if entity.all_joints else self._ids
         self._named_by = entity.joints_by
@@ -258,7 +258,7 @@ class VelocityTargets:
         ConfigError: If a joint has neither stiffness nor damping.
     """
 
-    def __init__(self, asset: Any, joints: NDArray[np.int64], period: float) -> None:
+    def __init__(self, asset: Articulation, joints: NDArray[np.int64], period: float) -> None:
         self._asset = asset
         self._joints = joints
         self._period = period
@@ -304,7 +304,7 @@ class Efforts:
         joints: (A,) indices of its joints.
     """
 
-    def __init__(self, asset: Any, joints: NDArray[np.int64]) -> None:
+    def __init__(self, asset: Articulation, joints: NDArray[np.int64]) -> None:
         self._asset = asset
         self._joints = joints
         self._dofs = np.asarray(asset.index.dof_adr, np.int64)[joints]

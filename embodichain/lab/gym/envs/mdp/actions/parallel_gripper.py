@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.utils.array_types import Floats
 else:
     mujoco = lazy_loader.load("mujoco")
@@ -285,7 +286,7 @@ class _Controls:
         initial: (A,) initial controls.
     """
 
-    def __init__(self, asset: Any, patterns: Names, forced: bool) -> None:
+    def __init__(self, asset: Articulation, patterns: Names, forced: bool) -> None:
         parsed = asset.parsed
         self.which, self.named_by = picked_controls(patterns, parsed.control_names)
         self.names = tuple(parsed.control_names[i] for i in self.which)
@@ -306,7 +307,7 @@ class _Controls:
         self._levers = [(joint, levers[:, joint]) for joint in moving]
 
     def force(
-        self, asset: Any, model: mujoco.MjModel, data: mujoco.MjData, signs: Floats
+        self, asset: Articulation, model: mujoco.MjModel, data: mujoco.MjData, signs: Floats
     ) -> Floats:
         """(nv,) generalized forces of controls that are raised (1) or lowered (-1), (A,)."""
         columns = np.asarray(asset.index.own_ctrl_ids)[self.which]
@@ -322,12 +323,12 @@ class _Controls:
             sign = (-1.0 if is_reversed else 1.0) * signs[is_of_actuator].sum()
             first_output = model.actuator_outadr[actuator]
             for row in range(first_output, first_output + model.actuator_outnum[actuator]):
-                start = data.moment_rowadr[row]
-                entries = slice(start, start + data.moment_rownnz[row])
+                first_entry = data.moment_rowadr[row]
+                entries = slice(first_entry, first_entry + data.moment_rownnz[row])
                 force[data.moment_colind[entries]] += sign * data.actuator_moment[entries]
         return force
 
-    def at_rest(self, asset: Any) -> Floats | None:
+    def at_rest(self, asset: Articulation) -> Floats | None:
         """Controls (N, A) at which servos have no force; None if they are not servos."""
         if not self._are_servos:
             return None

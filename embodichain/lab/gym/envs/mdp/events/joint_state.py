@@ -52,7 +52,8 @@ class ResetJoints(Term):
     ) -> None:
         if not entity_cfg.joint_ids:
             raise ConfigError([Problem("entity_cfg.uid", f"{entity_cfg.uid!r} has no joints")])
-        self._asset = asset = entity_cfg.asset
+        asset = entity_cfg.articulation
+        self._asset = asset
         self._joints: NDArray[np.int64] = np.asarray(entity_cfg.joint_ids, np.int64)
         count = len(self._joints)
         self._dofs = np.asarray(asset.index.dof_adr, np.int64)[self._joints]

@@ -294,7 +294,7 @@ def _check_limits(
     first_drawn = lower or upper
     if first_drawn is None:
         return
-    parsed = entity.asset.parsed
+    parsed = entity.articulation.parsed
     joints = np.asarray(entity.joint_ids, np.int64)
     highest_lower, lowest_upper = np.asarray(parsed.qpos_limits, np.float64)[joints].T.copy()
     if lower is not None:

@@ -166,7 +166,7 @@ def shape_index(env: TermContext, entity_cfg: Whole, one_hot: bool = False) -> F
     if not names:
         message = f"{entity_cfg.uid!r} has no any_of: there is one shape"
         raise ConfigError([Problem("entity_cfg.uid", message)])
-    number: NDArray[np.int64] = entity_cfg.asset.read_shape()
+    number: NDArray[np.int64] = entity_cfg.rigid_object.read_shape()
     return rows_at(np.eye(len(names)), number) if one_hot else number.astype(np.float64)
 
 
@@ -314,7 +314,7 @@ class LinkAcceleration(Term):
     """
 
     def __init__(self, env: TermContext, of: Frames) -> None:
-        if not of.frame_names and hasattr(of.asset, "parsed"):
+        if not of.frame_names and of.is_articulation:
             of = env.scene_entity({"uid": of.uid, "link_names": ".*"})
         self._engine, self._frames = env.sim.engine, of.frames
         self._rate = Rate(env)
