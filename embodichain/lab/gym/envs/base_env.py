@@ -603,8 +603,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         if judge.takes_obs:
             judged_obs = self._step_observation.to_judge(kwargs, stepped)
         self.command_manager.measure(stepped)
-        info, outcome = judge.info(judged_obs, action, kwargs)
-        reward = judge.reward(judged_obs, action, info)
+        info, outcome = judge.compute_info(judged_obs, action, kwargs)
+        reward = judge.compute_reward(judged_obs, action, info)
         with episodes.counting(present=False):
             action = self._postprocess_action(action)
         over = episodes.over()
@@ -616,7 +616,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         going_on = self._going_on(terminated, truncated, pending)
         changed = self.event_manager.step(going_on, stepped) + self.command_manager.step(going_on)
         obs = self._step_observation.to_return(judged_obs, changed, kwargs, stepped)
-        diverged = judge.diverged(obs, reward)
+        diverged = judge.find_diverged(obs, reward)
         if diverged is not None:
             judge.explain(diverged, obs, reward, info)
             info = judge.exclude(diverged, info)

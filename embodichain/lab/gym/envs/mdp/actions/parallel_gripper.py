@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
     from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.utils.array_types import Floats
 else:
@@ -379,7 +380,7 @@ class _Servo:
     levers: Floats
 
 
-def _read_servo(parsed: Any, name: str) -> _Servo:
+def _read_servo(parsed: ParsedArticulation, name: str) -> _Servo:
     """Read an actuator of a robot's file.
 
     Raises:
@@ -398,7 +399,7 @@ def _read_servo(parsed: Any, name: str) -> _Servo:
     raise ConfigError([Problem("force", message)])
 
 
-def _read_levers(parsed: Any, actuator: int) -> Floats:
+def _read_levers(parsed: ParsedArticulation, actuator: int) -> Floats:
     """(D,) length of an actuator's transmission per position of each joint, without its gear.
 
     It is 0 where an actuator does not exist, has a state of its own, or has another transmission.

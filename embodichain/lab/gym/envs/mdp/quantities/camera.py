@@ -60,7 +60,7 @@ class CameraImage(Term):
         ``{func: camera_image, params: {sensor: front, channels: color}, delay: [1, 2]}``
     """
 
-    returns_image = True
+    reads_images = True
 
     def __init__(
         self,
@@ -100,7 +100,7 @@ class CameraMask(Term):
         ``{func: camera_mask, params: {sensor: front, of: {uid: cube}}}``
     """
 
-    returns_image = True
+    reads_images = True
 
     def __init__(
         self, env: TermContext, sensor: CameraOf, entity_cfg: Whole, side: Side = "left"
