@@ -34,9 +34,9 @@ from embodichain.lab.gym.envs.managers.action_manager import (
     is_passive,
     no_action,
 )
-from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+from embodichain.lab.gym.envs.managers.random_managers import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity, resolve_entity
 from embodichain.lab.gym.envs.managers.value_managers import (
     MetricManager,

@@ -205,8 +205,8 @@ class Drives:
         if self._mixes:
             where = (slice(None), driven)
             control = control / self._scale[driven]
-            lead = self._mixed(np.zeros_like(control), where)
-            control = np.where(self.stiffness[where] > 0, control - lead, target[where])
+            of_velocity = self._mixed(np.zeros_like(control), where)
+            control = np.where(self.stiffness[where] > 0, control - of_velocity, target[where])
         target[:, driven] = control
         return target
 

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.solvers.chain import Frames
 
 __all__ = [
+    "IkTargets",
     "LeastSquares",
-    "Target",
     "clamped",
     "eliminated",
     "joint_step",
@@ -55,8 +55,8 @@ _ROUNDS = 3
 
 
 @dataclass(frozen=True)
-class Target:
-    """Poses in the frame of the root.
+class IkTargets:
+    """Poses that tools are to have, in the frames of their roots.
 
     Attributes:
         position: (3, n) metres.
@@ -67,18 +67,18 @@ class Target:
     rotation: F64 | None
 
     @classmethod
-    def of(cls, pos: F64, quat: F64 | None) -> Target:
+    def of(cls, pos: F64, quat: F64 | None) -> IkTargets:
         """The targets of positions (n, 3) and orientations (n, 4) wxyz."""
         rotation = None if quat is None else np.moveaxis(quat_to_matrix(quat), 0, -1)
         return cls(contiguous(pos.T), rotation)
 
-    def rows(self, which: NDArray[np.int64]) -> Target:
+    def pick(self, which: NDArray[np.int64]) -> IkTargets:
         """The targets of some of the environments."""
         rotation = None if self.rotation is None else self.rotation[..., which]
-        return Target(self.position[:, which], rotation)
+        return IkTargets(self.position[:, which], rotation)
 
 
-def pose_error(frames: Frames, target: Target) -> F64:
+def pose_error(frames: Frames, target: IkTargets) -> F64:
     """(6, n) from the tool to the target: metres, then a rotation vector; (3, n) without rotation.
 
     The rotation vector is the logarithm of R_target R_tool^T.
@@ -230,7 +230,7 @@ class LeastSquares:
     def solve(
         self,
         start: F64,
-        target: Target,
+        target: IkTargets,
         low: F64,
         high: F64,
         restarts: int,
@@ -261,7 +261,7 @@ class LeastSquares:
             highest = high[:, rows]
             qpos = self._initial(start[:, rows], point, lowest, highest)
             qpos, distance, done = self._search(
-                qpos, target.rows(rows), low=lowest, high=highest, ids=ids
+                qpos, target.pick(rows), low=lowest, high=highest, ids=ids
             )
             is_better = distance < shortest[rows]
             best[:, rows[is_better]] = qpos[:, is_better]
@@ -276,7 +276,7 @@ class LeastSquares:
     def solve_all(
         self,
         start: F64,
-        target: Target,
+        target: IkTargets,
         low: F64,
         high: F64,
         restarts: int,
@@ -307,7 +307,7 @@ class LeastSquares:
             starts = [self._initial(start.copy(), point, low, high) for point in part]
             qpos, _, done = self._search(
                 np.concatenate(starts, axis=1),
-                target.rows(rows),
+                target.pick(rows),
                 low=low[:, rows],
                 high=high[:, rows],
                 ids=ids[rows],
@@ -331,7 +331,7 @@ class LeastSquares:
         return qpos
 
     def _search(
-        self, qpos: F64, target: Target, *, low: F64, high: F64, ids: EnvIndex
+        self, qpos: F64, target: IkTargets, *, low: F64, high: F64, ids: EnvIndex
     ) -> tuple[F64, F64, NDArray[np.bool_]]:
         """Run one search each, from positions `qpos`, which are changed.
 
@@ -383,7 +383,7 @@ class LeastSquares:
                 rows = rows[goes_on]
                 ids = ids[goes_on]
                 qpos = qpos[:, goes_on]
-                target = target.rows(goes_on)
+                target = target.pick(goes_on)
                 low = low[:, goes_on]
                 high = high[:, goes_on]
                 earlier_length = earlier_length[goes_on]

@@ -14,7 +14,7 @@ from embodichain.utils.random import constant
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.managers.context import Draws
+    from embodichain.lab.gym.envs.managers.context import RandomDraws
     from embodichain.lab.sim.compiler.names import NamedBy
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.articulation import Articulation
@@ -289,6 +289,6 @@ class Uniform:
             high = np.deg2rad(high)
         return cls(name, low, high)
 
-    def __call__(self, draws: Draws, env_ids: EnvIndex | None) -> Floats:
+    def __call__(self, draws: RandomDraws, env_ids: EnvIndex | None) -> Floats:
         """(n, ...) numbers for the environments given, or for all. Do not write into it."""
         return draws.draw(self.name, self.low.shape, self.low, self.high, env_ids)

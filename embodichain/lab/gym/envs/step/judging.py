@@ -32,9 +32,9 @@ from embodichain.utils.system.atomic import atomic_file
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.gym.envs.managers.drawing import CommandManager
     from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+    from embodichain.lab.gym.envs.managers.random_managers import CommandManager
     from embodichain.lab.gym.envs.managers.value_managers import (
         MetricManager,
         RewardManager,

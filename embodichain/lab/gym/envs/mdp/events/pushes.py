@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.drawing import Timer
 from embodichain.lab.gym.envs.managers.param_types import Axes6, Frames, Range, Whole
+from embodichain.lab.gym.envs.managers.random_managers import Timer
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp.events.placing import (
