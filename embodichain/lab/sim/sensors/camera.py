@@ -340,14 +340,14 @@ class Camera(BaseSensor):
             ValueError: If the shape does not match ``env_ids`` or a value is not finite.
         """
         ids = as_env_ids(env_ids, self.num_instances)
-        rows = self.num_instances if ids is None else len(ids)
+        count = self.num_instances if ids is None else len(ids)
         what = f"{self.uid}: pose"
         shape = tuple(np.shape(pose))
         if len(shape) == 3 and shape[1:] == (4, 4):
-            flat = as_rows(np.asarray(pose).reshape(shape[0], 16), rows, 16, what)
+            flat = as_rows(np.asarray(pose).reshape(shape[0], 16), count, 16, what)
             array = matrix_to_pose(flat.reshape(-1, 4, 4))
         else:
-            array = as_rows(pose, rows, 7, what)
+            array = as_rows(pose, count, 7, what)
         self.write_local_pose(array[:, :3], normalize_quat(array[:, 3:]), ids)
 
     def look_at(self, eye: Any, target: Any, up: Any = None, env_ids: Any = None) -> None:
@@ -363,12 +363,12 @@ class Camera(BaseSensor):
             ValueError: If a shape does not match ``env_ids``, or an eye is at its target.
         """
         ids = as_env_ids(env_ids, self.num_instances)
-        rows = self.num_instances if ids is None else len(ids)
+        count = self.num_instances if ids is None else len(ids)
         if up is None:
             up = (0.0, 0.0, 1.0)
-        eye = as_rows(eye, rows, 3, f"{self.uid}: eye", shared=True)
-        target = as_rows(target, rows, 3, f"{self.uid}: target", shared=True)
-        up = as_rows(up, rows, 3, f"{self.uid}: up", shared=True)
+        eye = as_rows(eye, count, 3, f"{self.uid}: eye", shared=True)
+        target = as_rows(target, count, 3, f"{self.uid}: target", shared=True)
+        up = as_rows(up, count, 3, f"{self.uid}: up", shared=True)
         self.write_local_pose(eye, matrix_to_quat(look_at(eye, target, up)), ids)
 
     # -- lens ----------------------------------------------------------------------------------
@@ -422,11 +422,11 @@ class Camera(BaseSensor):
 
     def _set_intrinsics(self, intrinsics: Any, env_ids: Any, side: int) -> None:
         ids = as_env_ids(env_ids, self.num_instances)
-        rows = self.num_instances if ids is None else len(ids)
+        count = self.num_instances if ids is None else len(ids)
         array = np.asarray(intrinsics, np.float64)
         if array.shape[-2:] == (3, 3):
             array = array[..., (0, 1, 0, 1), (0, 1, 2, 2)]
-        lens = as_rows(array, rows, 4, f"{self.uid}: intrinsics", shared=True)
+        lens = as_rows(array, count, 4, f"{self.uid}: intrinsics", shared=True)
         if (lens[:, :2] <= 0).any():
             raise ValueError(f"{self.uid}: fx and fy must be positive, got {lens[:, :2].tolist()}")
         self.write_intrinsics(lens, ids, side)
@@ -518,8 +518,8 @@ class StereoCamera(Camera):
 
 
 def _pose_tensor(pose: tuple[Floats, Floats], to_matrix: bool) -> torch.Tensor:
-    rows = np.concatenate(pose, axis=1)
-    return to_tensor(pose_to_matrix(rows) if to_matrix else rows)
+    poses = np.concatenate(pose, axis=1)
+    return to_tensor(pose_to_matrix(poses) if to_matrix else poses)
 
 
 def _matrices(lens: Floats, pixel_origin: PixelOrigin) -> torch.Tensor:

@@ -127,18 +127,18 @@ def joint_step(
     is_beyond = (step < lowest) | (step > highest)
     is_fixed = is_beyond
     for _ in range(_ROUNDS - 1):
-        rows: Any = slice(None)  # on a device all, where the same step is found again
+        beyond: Any = slice(None)  # on a device all, where the same step is found again
         if is_host(step):
-            rows = np.flatnonzero(is_beyond.any(axis=0))
-            if not len(rows):
+            beyond = np.flatnonzero(is_beyond.any(axis=0))
+            if not len(beyond):
                 break
-        at_bound = clamped(step, lowest, highest)[:, rows]
-        columns = jacobian[..., rows]
-        motion = np.where(is_fixed[:, rows], at_bound, null_motion[:, rows])
-        remaining = error[:, rows] - times(columns, motion)
+        at_bound = clamped(step, lowest, highest)[:, beyond]
+        columns = jacobian[..., beyond]
+        motion = np.where(is_fixed[:, beyond], at_bound, null_motion[:, beyond])
+        remaining = error[:, beyond] - times(columns, motion)
         # A fixed joint has no column: the others make up for it.
-        free_columns = columns * ~is_fixed[:, rows]
-        step[:, rows] = motion + _solved(remaining, free_columns, damping[rows])
+        free_columns = columns * ~is_fixed[:, beyond]
+        step[:, beyond] = motion + _solved(remaining, free_columns, damping[beyond])
         is_beyond = ((step < lowest) | (step > highest)) & ~is_fixed
         is_fixed = is_fixed | is_beyond
     return clamped(step, lowest, highest)
@@ -254,22 +254,22 @@ class LeastSquares:
         best = start.copy()
         shortest = np.full(count, np.inf)
         reached = np.zeros(count, np.bool_)
-        rows = np.arange(count)  # where no search has succeeded yet
+        unsolved = np.arange(count)  # where no search has succeeded yet
         for point in self._points(restarts):
-            ids = rows if env_ids is None else env_ids[rows]
-            lowest = low[:, rows]
-            highest = high[:, rows]
-            qpos = self._initial(start[:, rows], point, lowest, highest)
+            ids = unsolved if env_ids is None else env_ids[unsolved]
+            lowest = low[:, unsolved]
+            highest = high[:, unsolved]
+            qpos = self._initial(start[:, unsolved], point, lowest, highest)
             qpos, distance, done = self._search(
-                qpos, target.pick(rows), low=lowest, high=highest, ids=ids
+                qpos, target.pick(unsolved), low=lowest, high=highest, ids=ids
             )
-            is_better = distance < shortest[rows]
-            best[:, rows[is_better]] = qpos[:, is_better]
-            shortest[rows[is_better]] = distance[is_better]
-            best[:, rows[done]] = qpos[:, done]
-            reached[rows[done]] = True
-            rows = rows[~done]
-            if not len(rows):
+            is_better = distance < shortest[unsolved]
+            best[:, unsolved[is_better]] = qpos[:, is_better]
+            shortest[unsolved[is_better]] = distance[is_better]
+            best[:, unsolved[done]] = qpos[:, done]
+            reached[unsolved[done]] = True
+            unsolved = unsolved[~done]
+            if not len(unsolved):
                 break
         return best, reached
 
@@ -303,14 +303,14 @@ class LeastSquares:
         reached = []
         ids = np.arange(count) if env_ids is None else env_ids
         for part in parts:
-            rows = np.tile(np.arange(count), len(part))
+            env_of_search = np.tile(np.arange(count), len(part))
             starts = [self._initial(start.copy(), point, low, high) for point in part]
             qpos, _, done = self._search(
                 np.concatenate(starts, axis=1),
-                target.pick(rows),
-                low=low[:, rows],
-                high=high[:, rows],
-                ids=ids[rows],
+                target.pick(env_of_search),
+                low=low[:, env_of_search],
+                high=high[:, env_of_search],
+                ids=ids[env_of_search],
             )
             solutions.append(np.moveaxis(qpos.reshape(len(qpos), len(part), count), 1, 0))
             reached.append(done.reshape(len(part), count))
@@ -344,7 +344,7 @@ class LeastSquares:
         solution = qpos.copy()
         distance = np.empty(count)
         done = np.zeros(count, np.bool_)
-        rows = np.arange(count)  # whose search goes on
+        unfinished = np.arange(count)  # whose search goes on
         earlier_length = np.full(count, np.inf)
         for iteration in range(self._iterations + 1):
             frames = self._chain.frames(qpos, ids)
@@ -371,16 +371,16 @@ class LeastSquares:
             elif iteration % _PATIENCE == 0 and lean is None:
                 is_over |= length > _PROGRESS * earlier_length
                 earlier_length = length
-            solution[:, rows[is_over]] = qpos[:, is_over]
-            distance[rows[is_over]] = length[is_over]
-            done[rows[is_over]] = reached[is_over]
+            solution[:, unfinished[is_over]] = qpos[:, is_over]
+            distance[unfinished[is_over]] = length[is_over]
+            done[unfinished[is_over]] = reached[is_over]
 
             goes_on = ~is_over
             if not goes_on.any():
                 break
             qpos[moving] = moving_qpos + step
             if not goes_on.all():
-                rows = rows[goes_on]
+                unfinished = unfinished[goes_on]
                 ids = ids[goes_on]
                 qpos = qpos[:, goes_on]
                 target = target.pick(goes_on)

@@ -236,10 +236,14 @@ class ArmSolver:
         nearest = np.where(is_solved[:, None], qpos, solutions[0])
         reached = is_solved | exist[0]
         # Where there is no solution, a search comes as near as it can.
-        rows = np.flatnonzero(~reached)
-        if len(rows):
-            ids = rows if env_ids is None else env_ids[rows]
-            nearest[rows], reached[rows] = self._search(qpos[rows], target.pick(rows), ids, 0)
+        unsolved = np.flatnonzero(~reached)
+        if len(unsolved):
+            ids = unsolved if env_ids is None else env_ids[unsolved]
+            solutions, is_reached = self._search(
+                qpos[unsolved], target.pick(unsolved), ids, restarts=0
+            )
+            nearest[unsolved] = solutions
+            reached[unsolved] = is_reached
         return nearest, reached
 
     def solutions(

@@ -44,9 +44,9 @@ class EpisodeTimer:
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Stop the timer of these environments."""
-        rows: Any = slice(None) if env_ids is None else env_ids
-        self._timer.left[rows] = 0
-        self._seen[rows] = 0
+        where: Any = slice(None) if env_ids is None else env_ids
+        self._timer.left[where] = 0
+        self._seen[where] = 0
 
     def stopped(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Return those environments whose timer has not been started in this episode."""
@@ -176,8 +176,8 @@ class ApplyExternalForceTorque(Term):
         """(n, 6 k) no forces, and the moments of the drawn forces about the centres of mass."""
         engine = self._engine
         frames = self._frames
-        rows: Any = slice(None) if env_ids is None else env_ids
-        lever = frames.positions(engine)[rows] - engine.derived("xipos")[rows][:, frames.bodies]
+        where: Any = slice(None) if env_ids is None else env_ids
+        lever = frames.positions(engine)[where] - engine.derived("xipos")[where][:, frames.bodies]
         forces = wrenches.reshape(len(wrenches), -1, 6)[..., :3]
         moments = cross(lever, forces)
         no_forces = np.zeros_like(moments)
