@@ -1,12 +1,12 @@
-"""Runs the steps of the Dockerfile without Docker, each in a root folder of its own.
+"""Run the steps of the Dockerfile without Docker, each stage in a root folder of its own.
 
-`python scripts/dockerfile_steps.py --base DIR --out DIR [-- ARGUMENTS]`, as root. The base is what
-``debootstrap --variant=minbase bookworm DIR`` makes; every ``FROM`` is a copy of it. ``RUN`` runs
-in a chroot with the build's arguments and variables, ``COPY`` copies what .dockerignore leaves, and
-at the end the entry point runs with the given arguments as the image's user. `--bind PATH` shows a
-path of this machine inside, read-only; `--env NAME` passes a variable.
+`python scripts/dockerfile_steps.py --base DIR --out DIR [-- ARGUMENTS]`, as root. The base is the
+folder that ``debootstrap --variant=minbase bookworm DIR`` makes; every ``FROM`` is a copy of it.
+``RUN`` runs in a chroot with the build's arguments and variables, ``COPY`` copies the files that
+.dockerignore leaves, and at the end the entry point runs with the given arguments as the image's
+user. `--bind PATH` shows a path of this machine inside, read-only; `--env NAME` passes a variable.
 
-What it does not try: Docker's own layers, caching and isolation, and that ``debian:12-slim`` is the
+It does not try Docker's own layers, caching and isolation, nor whether ``debian:12-slim`` is the
 base that debootstrap makes without documentation files.
 """
 
@@ -58,50 +58,61 @@ class Stage:
 
 
 def steps(text: str) -> list[Step]:
-    """The instructions of a Dockerfile.
+    """Read the instructions of a Dockerfile.
 
     Raises:
-        ValueError: One is not known here.
+        ValueError: If one is not known here.
     """
-    found = []
+    instructions = []
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line.startswith("#"):
             continue
         word, _, rest = line.partition(" ")
         if word not in WORDS:
             raise ValueError(f"line {number}: {word!r} is not known here")
-        found.append(Step(word, rest.strip(), number))
-    return found
+        instructions.append(Step(word, rest.strip(), number))
+    return instructions
 
 
 def context(root: Path, ignored: str) -> Iterator[Path]:
-    """Files that ``COPY .`` copies, relative to the root: those .dockerignore leaves.
+    """Yield the files that ``COPY .`` copies, relative to the root.
 
-    The last pattern that fits decides, as Docker has it; ``!`` takes a path in again.
+    Args:
+        root: The root folder of the build.
+        ignored: The text of .dockerignore.
     """
     rules = [line for line in ignored.splitlines() if line and not line.startswith("#")]
+    # Folders at the top that are ignored, but have files that a rule includes again.
+    reopened = {rule[1:].partition("/")[0] for rule in rules if rule.startswith("!")}
     for folder, folders, files in os.walk(root):
-        at = Path(folder).relative_to(root)
+        parent = Path(folder).relative_to(root)
         links = [name for name in folders if Path(folder, name).is_symlink()]
         for name in (*files, *links):
-            if not _is_ignored((at / name).as_posix(), rules):
-                yield at / name
-        if at == Path():  # of other folders only what a rule names
-            named = {rule[1:].partition("/")[0] for rule in rules if rule.startswith("!")}
-            folders[:] = [n for n in folders if n in named or not _is_ignored(f"{n}/x", rules)]
+            path = parent / name
+            if not _is_ignored(path.as_posix(), rules):
+                yield path
+        if parent == Path():  # do not descend into folders that are ignored as a whole
+            folders[:] = [n for n in folders if n in reopened or not _is_ignored(f"{n}/x", rules)]
 
 
 def _is_ignored(path: str, rules: Iterable[str]) -> bool:
-    ignored = False
+    """Whether rules ignore a path: the last one that matches decides, as in Docker.
+
+    A rule matches a path if it matches the path or a folder above it. ``!`` includes a path again,
+    ``**/`` matches a name at any depth.
+    """
+    names = path.split("/")
+    parents = ["/".join(names[:depth]) for depth in range(1, len(names) + 1)]
+    is_ignored = False
     for rule in rules:
-        taken = rule.startswith("!")
         pattern = rule.removeprefix("!")
-        starts = ["/".join(path.split("/")[: n + 1]) for n in range(path.count("/") + 1)]
-        anywhere = pattern.removeprefix("**/")
-        names = path.split("/") if anywhere != pattern else starts
-        if any(fnmatch.fnmatchcase(name, anywhere) for name in names):
-            ignored = not taken
-    return ignored
+        candidates = parents
+        if pattern.startswith("**/"):
+            pattern = pattern.removeprefix("**/")
+            candidates = names
+        if any(fnmatch.fnmatchcase(candidate, pattern) for candidate in candidates):
+            is_ignored = not rule.startswith("!")
+    return is_ignored
 
 
 class Builder:
@@ -118,7 +129,10 @@ class Builder:
     def __init__(
         self, base: Path, out: Path, binds: list[Path], passed: list[str], arguments: dict[str, str]
     ) -> None:
-        self.base, self.out, self.binds, self.given = base, out, binds, arguments
+        self.base = base
+        self.out = out
+        self.binds = binds
+        self.arguments = arguments
         self.passed = {name: os.environ[name] for name in passed if name in os.environ}
         self.stages: dict[str, Stage] = {}
         self.stage = Stage(out)
@@ -127,21 +141,24 @@ class Builder:
         """Perform one step.
 
         Raises:
-            subprocess.CalledProcessError: A command failed.
+            subprocess.CalledProcessError: If a command fails.
         """
         getattr(self, f"_{step.word.lower()}")(step.text)
 
     def _from(self, text: str) -> None:
         match = re.fullmatch(r"\S+(?: AS (\S+))?", text)
-        name = (match[1] if match else None) or f"stage{len(self.stages)}"
-        self.stage = self.stages[name] = Stage(self.out / name)
+        name = f"stage{len(self.stages)}"
+        if match and match[1]:
+            name = match[1]
+        self.stage = Stage(self.out / name)
+        self.stages[name] = self.stage
         self.out.mkdir(parents=True, exist_ok=True)
         subprocess.run(["cp", "-a", self.base, self.stage.root], check=True)
         shutil.copy("/etc/resolv.conf", self.stage.root / "etc" / "resolv.conf")
 
     def _arg(self, text: str) -> None:
         name, _, default = text.partition("=")
-        self.stage.arguments[name] = self.given.get(name, default)
+        self.stage.arguments[name] = self.arguments.get(name, default)
 
     def _env(self, text: str) -> None:
         name, _, value = text.partition("=")
@@ -161,20 +178,25 @@ class Builder:
         self.stage.command = json.loads(text)
 
     def _copy(self, text: str) -> None:
-        first, *rest = shlex.split(text)
-        if first.startswith("--from="):
-            source, target = rest
-            root = self.stages[first.removeprefix("--from=")].root
-            copied = root / source.lstrip("/")
-            shutil.copytree(copied, self._inside(target), symlinks=True, dirs_exist_ok=True)
+        *options, source, target = shlex.split(text)
+        place = self._inside(target)
+        if options:
+            (option,) = options
+            stage = self.stages[option.removeprefix("--from=")]
+            folder = stage.root / source.lstrip("/")
+            shutil.copytree(folder, place, symlinks=True, dirs_exist_ok=True)
             return
-        (target,) = rest
         ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8")
         for path in context(ROOT, ignored):
-            if first == "." or path == Path(first):
-                place = self._inside(target) / path if first == "." else self._inside(target)
-                place.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(ROOT / path, place, follow_symlinks=False)
+            if source == ".":
+                self._copy_file(path, place / path)
+            elif path == Path(source):
+                self._copy_file(path, place)
+
+    def _copy_file(self, path: Path, target: Path) -> None:
+        """Copy a file of the checkout."""
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / path, target, follow_symlinks=False)
 
     def _inside(self, path: str) -> Path:
         return self.stage.root / path.lstrip("/")
@@ -186,7 +208,7 @@ class Builder:
         """Run a command in the stage's root, as its user.
 
         Raises:
-            subprocess.CalledProcessError: It failed.
+            subprocess.CalledProcessError: If it fails.
         """
         stage = self.stage
         variables = {
@@ -203,19 +225,20 @@ class Builder:
         for path in self.binds:
             place = self._inside(str(path))
             place.parent.mkdir(parents=True, exist_ok=True)
-            place.mkdir(exist_ok=True) if path.is_dir() else place.touch()
+            if path.is_dir():
+                place.mkdir(exist_ok=True)
+            else:
+                place.touch()
         line = f"cd {stage.folder} && exec {shlex.join(['env', '-i', *words, *command])}"
         chroot = ["exec", "chroot", *user, str(root), "/bin/sh", "-c", line]
-        script = [*mounts(root, self.binds), shlex.join(chroot)]
-        # Namespaces of its own: nothing stays mounted or running, whatever happens.
-        own = ["unshare", "--mount", "--propagation", "private", "--pid", "--fork"]
-        subprocess.run(
-            [*own, "/bin/sh", "-c", " && ".join(script)], check=True, stdin=subprocess.DEVNULL
-        )
+        script = " && ".join([*mounts(root, self.binds), shlex.join(chroot)])
+        # In namespaces of its own nothing stays mounted or running, whatever happens.
+        unshare = ["unshare", "--mount", "--propagation", "private", "--pid", "--fork"]
+        subprocess.run([*unshare, "/bin/sh", "-c", script], check=True, stdin=subprocess.DEVNULL)
 
 
 def mounts(root: Path, binds: list[Path]) -> list[str]:
-    """Commands that mount what a step sees of this machine, none of which it can write to.
+    """Return commands that mount the parts of this machine that a step sees, read-only.
 
     A package's installation script that runs inside would otherwise change this machine's files.
     """
@@ -238,7 +261,7 @@ def mounts(root: Path, binds: list[Path]) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Performs all steps, then runs the entry point."""
+    """Perform all steps, then run the entry point."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--base", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True, help="a new folder")
@@ -247,9 +270,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--build-arg", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("command", nargs="*", help="for the entry point")
     options = parser.parse_args(arguments)
-    given = dict(argument.split("=", 1) for argument in options.build_arg)
     builder = Builder(
-        options.base.resolve(), options.out.resolve(), options.bind, options.env, given
+        base=options.base.resolve(),
+        out=options.out.resolve(),
+        binds=options.bind,
+        passed=options.env,
+        arguments=dict(argument.split("=", 1) for argument in options.build_arg),
     )
     try:
         for step in steps((ROOT / "Dockerfile").read_text(encoding="utf-8")):

@@ -1,4 +1,4 @@
-"""Lets every call on a file fail once, in each verb, and says what came (docs/reliability.md).
+"""Let every call on a file fail once, in each verb; report the results (docs/reliability.md).
 
 python scripts/fail_every_call.py              # all calls of all cases
 python scripts/fail_every_call.py run train --most 50
@@ -39,48 +39,58 @@ def main() -> int:
     errors = [getattr(errno, name) for name in options.error or ("EIO", "ENOSPC")]
     chosen: Callable[[list[str]], list[int]] | None = None
     if options.kinds:
-        chosen = partial(_kinds, len(errors))
+        chosen = partial(_choose_kinds, len(errors))
     elif options.most is not None:
-        chosen = partial(_evenly, options.most)
-    failed = False
+        chosen = partial(_choose_evenly, options.most)
+    has_failed = False
     with tempfile.TemporaryDirectory() as folder, verb_forks(Path(folder).resolve()) as forks:
         place = Path(folder).resolve()
         for name in options.cases or CASES:
-            begun = time.monotonic()
-            how = {"stays": options.stays, "report": _report}
-            calls, found = tried(CASES[name], forks, place, chosen, errors, **how)
-            wrong = [result for result in found if result.wrong]
-            failed = failed or bool(wrong)
-            codes = Counter(r.ended.code for r in found if r.ended.failed)
-            said = ", ".join(f"{times} with code {code}" for code, times in codes.items())
-            said += f", {len(found) - codes.total()} not reached"
-            seconds = time.monotonic() - begun
+            started = time.monotonic()
+            calls, results = tried(
+                CASES[name],
+                forks,
+                place,
+                chosen,
+                errors,
+                stays=options.stays,
+                report=_report,
+            )
+            seconds = time.monotonic() - started
+            wrong_results = [result for result in results if result.wrong]
+            has_failed = has_failed or bool(wrong_results)
+            codes = Counter(result.ended.code for result in results if result.ended.failed)
+            endings = [f"{times} with code {code}" for code, times in codes.items()]
+            endings.append(f"{len(results) - codes.total()} not reached")
             sys.stdout.write(
-                f"{name}: {len(calls)} calls, {len(found)} tries ({said}), {len(wrong)} not as "
-                f"promised, {seconds:.0f} s\n"
+                f"{name}: {len(calls)} calls, {len(results)} tries ({', '.join(endings)}), "
+                f"{len(wrong_results)} not as promised, {seconds:.0f} s\n"
             )
             sys.stdout.flush()
-    return int(failed)
+    return int(has_failed)
 
 
-def _evenly(most: int, calls: list[str]) -> list[int]:
+def _choose_evenly(most: int, calls: list[str]) -> list[int]:
+    """Return the numbers of at most so many calls, evenly spread."""
     return sampled(len(calls), most)
 
 
-def _kinds(times: int, calls: list[str]) -> list[int]:
+def _choose_kinds(times: int, calls: list[str]) -> list[int]:
+    """Return the number of the first call of each kind, so many times."""
     return [n for n in kinds(calls) for _ in range(times)]
 
 
 def _report(result: Tried) -> None:
-    if result.wrong:
-        error = errno.errorcode[result.number]
-        ended = result.ended
-        sys.stdout.write(
-            f"  call {result.n} ({ended.failed}) {error}, code {ended.code}: "
-            f"{'; '.join(result.wrong)}\n"
-        )
-        sys.stdout.write("".join(f"    {line}\n" for line in ended.err.splitlines()[-_LINES:]))
-        sys.stdout.flush()
+    """Print a result that is not as promised."""
+    if not result.wrong:
+        return
+    error = errno.errorcode[result.number]
+    ended = result.ended
+    faults = "; ".join(result.wrong)
+    sys.stdout.write(f"  call {result.n} ({ended.failed}) {error}, code {ended.code}: {faults}\n")
+    for line in ended.err.splitlines()[-_LINES:]:
+        sys.stdout.write(f"    {line}\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

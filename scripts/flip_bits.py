@@ -1,8 +1,8 @@
 """Flip one bit in every byte of a log, and verify each: `python scripts/flip_bits.py [LOG]`.
 
-Without a log a small one is recorded. Prints how many changes went unnoticed, and where; exit code
-1 if any byte did that is not listed in `UNCOVERED`. Which bit of a byte is flipped follows from
-its offset, so that all eight occur; `--bits all` flips each of them.
+Without a log a small one is recorded. Prints how many changes went unnoticed, and where; the exit
+code is 1 if any did. The offset of a byte decides which of its bits is flipped, so that all eight
+occur; `--bits all` flips each of them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ends is compared."""
 
 
 class Flip(NamedTuple):
-    """What came of one flipped bit.
+    """Result of one flipped bit.
 
     Attributes:
         offset: The byte.
@@ -51,12 +51,13 @@ def main() -> int:
             record(path)
         else:
             path.write_bytes(options.log.read_bytes())
-        size, begun = path.stat().st_size, time.perf_counter()
-        found = list(flips(path, range(size), all_bits=options.bits == "all"))
-    seconds = time.perf_counter() - begun
-    unnoticed = [flip for flip in found if not flip.found]
-    sys.stdout.write(f"{len(found)} flips in {size} bytes, {seconds:.0f} s\n")
-    for kind, count in Counter(flip.first for flip in found).most_common():
+        size = path.stat().st_size
+        started = time.perf_counter()
+        results = list(flips(path, range(size), all_bits=options.bits == "all"))
+        seconds = time.perf_counter() - started
+    unnoticed = [flip for flip in results if not flip.found]
+    sys.stdout.write(f"{len(results)} flips in {size} bytes, {seconds:.0f} s\n")
+    for kind, count in Counter(flip.first for flip in results).most_common():
         sys.stdout.write(f"{count:8} {kind}\n")
     for flip in unnoticed:
         sys.stdout.write(f"unnoticed: bit {flip.bit} of byte {flip.offset}\n")
@@ -96,7 +97,8 @@ def flips(path: Path, offsets: Iterable[int], all_bits: bool = False) -> Iterato
         for offset in offsets:
             stream.seek(offset)
             (byte,) = stream.read(1)
-            for bit in range(8) if all_bits else (offset % 8,):
+            bits = range(8) if all_bits else [offset % 8]
+            for bit in bits:
                 stream.seek(offset)
                 stream.write(bytes([byte ^ 1 << bit]))
                 try:

@@ -1,4 +1,4 @@
-"""Draws the pictures of the catalogues: docs/images/tasks.jpg and docs/images/robots.jpg.
+"""Draw the pictures of the catalogues: docs/images/tasks.jpg and docs/images/robots.jpg.
 
 `python scripts/gallery.py tasks` draws every shipped task after a reset, with its name: pictures of
 `embodichain render`. `python scripts/gallery.py robots` draws robots of example-robot-data, one of
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
 import sys
 import tempfile
@@ -34,6 +35,8 @@ BAR = 28
 ROBOT_COLUMNS = 7
 ROBOT_SIZE = 220, 176
 ROBOT_BAR = 20
+OUR_ROBOT = "UniversalRobots/UR10/UR10.urdf"
+"""The robot of this package that has a picture."""
 LEFT_OUT = ("pr2", "simple_humanoid")
 """Robots without a picture: of pr2 `new task` writes a task that is refused, because the limits of
 its fingers exclude what they mimic; simple_humanoid has no visual shapes."""
@@ -45,7 +48,8 @@ def sheet(tasks: Sequence[str], size: tuple[int, int] = SIZE) -> Image.Image:
     Raises:
         RuntimeError: If one cannot be drawn; the reason is on stderr.
     """
-    return _sheet({task: task for task in tasks}, _picture, size, COLUMNS, BAR)
+    labels = {task: task for task in tasks}
+    return _draw_sheet(labels, _draw_task, size=size, columns=COLUMNS, bar=BAR)
 
 
 def robots() -> dict[str, str]:
@@ -53,17 +57,21 @@ def robots() -> dict[str, str]:
 
     Of a folder, the first file that can be read and has a joint that moves.
     """
-    found: dict[str, str] = {}
+    names: dict[str, str] = {}
     for robot in list_robots():
-        folder = Path(robot.name).parts[0]
-        label = folder.removesuffix("_description").removesuffix("_data")
-        ours = robot.name == "UniversalRobots/UR10/UR10.urdf"
-        wanted = ours or (robot.source == "example-robot-data" and label not in LEFT_OUT)
-        if wanted and not fault_of(robot.path):
-            joints = ElementTree.fromstring(robot.path.read_bytes()).iter("joint")
-            if any(joint.get("type", "fixed") != "fixed" for joint in joints):
-                found.setdefault("UR10" if ours else label, robot.name)
-    return dict(sorted(found.items(), key=lambda item: item[0].lower()))
+        if robot.name == OUR_ROBOT:
+            label = "UR10"
+        elif robot.source == "example-robot-data":
+            folder = Path(robot.name).parts[0]
+            label = folder.removesuffix("_description").removesuffix("_data")
+        else:
+            continue
+        if label in LEFT_OUT or fault_of(robot.path):
+            continue
+        joints = ElementTree.fromstring(robot.path.read_bytes()).iter("joint")
+        if any(joint.get("type", "fixed") != "fixed" for joint in joints):
+            names.setdefault(label, robot.name)
+    return dict(sorted(names.items(), key=lambda item: item[0].lower()))
 
 
 def robot_sheet(names: Mapping[str, str], size: tuple[int, int] = ROBOT_SIZE) -> Image.Image:
@@ -77,42 +85,56 @@ def robot_sheet(names: Mapping[str, str], size: tuple[int, int] = ROBOT_SIZE) ->
         RuntimeError: If one cannot be drawn; the reason is on stderr.
     """
 
-    def picture(robot: str, file: Path, size: tuple[int, int]) -> None:
+    def draw_robot(robot: str, file: Path, size: tuple[int, int]) -> None:
         with contextlib.redirect_stdout(io.StringIO()):
             if main(["new", "task", file.stem, "--robot", robot]):
                 raise RuntimeError(f"there is no task for {robot}")
-        _picture(file.stem, file, size)
+        _draw_task(file.stem, file, size)
 
     with _empty_folder():
-        return _sheet(names, picture, size, ROBOT_COLUMNS, ROBOT_BAR)
+        return _draw_sheet(names, draw_robot, size=size, columns=ROBOT_COLUMNS, bar=ROBOT_BAR)
 
 
-def _picture(task: str, file: Path, size: tuple[int, int]) -> None:
+def _draw_task(task: str, file: Path, size: tuple[int, int]) -> None:
+    """Write a picture of a task into a file."""
     width, height = size
     command = [f"task={task}", str(file), "--size", f"{width}x{height}", "seed=1"]
     if main(["render", *command, "--quiet"]):
         raise RuntimeError(f"{task} cannot be drawn")
 
 
-def _sheet(
+def _draw_sheet(
     labels: Mapping[str, str],
-    picture: Callable[[str, Path, tuple[int, int]], None],
+    draw: Callable[[str, Path, tuple[int, int]], None],
+    *,
     size: tuple[int, int],
     columns: int,
     bar: int,
 ) -> Image.Image:
+    """Return one picture of several pictures with labels.
+
+    Args:
+        labels: Label -> what `draw` takes.
+        draw: Writes a picture of a size into a file.
+        size: Width and height of each, in pixels.
+        columns: Pictures in a row.
+        bar: Height of a label's line.
+    """
     width, height = size
-    rows = -(-len(labels) // columns)
-    found = Image.new("RGB", (width * min(len(labels), columns), (height + bar) * rows), "white")
-    draw, font = ImageDraw.Draw(found), ImageFont.load_default(bar * 0.6)
+    rows = math.ceil(len(labels) / columns)
+    sheet_size = (width * min(len(labels), columns), (height + bar) * rows)
+    image = Image.new("RGB", sheet_size, "white")
+    canvas = ImageDraw.Draw(image)
+    font = ImageFont.load_default(bar * 0.6)
     with tempfile.TemporaryDirectory() as folder:
         for i, (label, name) in enumerate(labels.items()):
-            left, top = width * (i % columns), (height + bar) * (i // columns)
+            left = width * (i % columns)
+            top = (height + bar) * (i // columns)
             file = Path(folder, f"picture_{i}.png")
-            picture(name, file, size)
-            found.paste(Image.open(file), (left, top + bar))
-            draw.text((left + 8, top + bar / 2), label, fill="black", font=font, anchor="lm")
-    return found
+            draw(name, file, size)
+            image.paste(Image.open(file), (left, top + bar))
+            canvas.text((left + 8, top + bar / 2), label, fill="black", font=font, anchor="lm")
+    return image
 
 
 @contextlib.contextmanager
@@ -128,8 +150,8 @@ def _empty_folder() -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    wanted = sys.argv[1:] or ["tasks", "robots"]
-    if "tasks" in wanted:
+    catalogues = sys.argv[1:] or ["tasks", "robots"]
+    if "tasks" in catalogues:
         sheet(TASKS).save(PICTURE, quality=90)
-    if "robots" in wanted:
+    if "robots" in catalogues:
         robot_sheet(robots()).save(ROBOTS_PICTURE, quality=85)

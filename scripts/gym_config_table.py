@@ -1,6 +1,6 @@
-"""Writes into docs/compatibility.md what of EmbodiChain's own configs is left out, and why.
+"""Write into docs/compatibility.md which keys of EmbodiChain's configs are left out, and why.
 
-`python scripts/gym_config_table.py`: the tables of `compat.gym_config`, between two marks.
+`python scripts/gym_config_table.py` writes the table of `compat.gym_config` between two marks.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from embodichain.compat.gym_config import vocabulary as v
 from embodichain.compat.gym_config.functors import LEFT_OUT, PARAMS_LEFT_OUT
 
 PAGE = Path(__file__).parents[1] / "docs" / "compatibility.md"
-BEGIN, END = "<!-- left out: begin -->\n", "<!-- left out: end -->\n"
+BEGIN = "<!-- left out: begin -->\n"
+END = "<!-- left out: end -->\n"
 SECTIONS: Mapping[str, v.Vocabulary] = {
     "top": v.TOP,
     "`physics_config`": v.PHYSICS,
@@ -35,28 +36,23 @@ SECTIONS: Mapping[str, v.Vocabulary] = {
     **{f"{kind}s": reasons for kind, reasons in LEFT_OUT.items()},
     **{f"`{functor}`": reasons for functor, reasons in PARAMS_LEFT_OUT.items()},
 }
-"""Where each table counts."""
+"""Section of a config -> its keys, with their rules."""
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
-    """Section, keys that are left out for the same reason, and the reason."""
+    """Yield each section, the keys that are left out for the same reason, and the reason."""
     for section, rules in SECTIONS.items():
         reasons = [rule for rule in rules.values() if isinstance(rule, str)]
         for reason in dict.fromkeys(reasons):
-            yield (
-                section,
-                ", ".join(f"`{k}`" for k, rule in rules.items() if rule == reason),
-                reason,
-            )
+            keys = [f"`{key}`" for key, rule in rules.items() if rule == reason]
+            yield section, ", ".join(keys), reason
 
 
 def table() -> str:
     """Return the rows as a table."""
-    lines = [
-        "| where | what | why |",
-        "| --- | --- | --- |",
-        *(f"| {' | '.join(r)} |" for r in rows()),
-    ]
+    lines = ["| where | what | why |", "| --- | --- | --- |"]
+    for row in rows():
+        lines.append(f"| {' | '.join(row)} |")
     return "\n".join(lines) + "\n"
 
 

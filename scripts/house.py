@@ -1,4 +1,4 @@
-"""Measures the source tree: size, circles, inheritance, private accesses, files opened by a walk.
+"""Measure the source tree: size, circles, inheritance, private accesses, files opened by a walk.
 
 `python scripts/house.py` prints a table. A walk counts the files of the package of which a function
 runs, code that runs while a module is imported excluded, also that of import hooks:
@@ -17,7 +17,6 @@ import ast
 import subprocess
 import sys
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -40,58 +39,60 @@ _OPTIMIZED = 0x1  # inspect.CO_OPTIMIZED: functions; not the bodies of modules a
 
 
 def lines(*folders: str) -> int:
-    """Lines of Python below folders of the repository, tracked files only."""
+    """Count the lines of Python below folders of the repository, in tracked files only."""
     return sum(path.read_bytes().count(b"\n") for path in sources(*folders))
 
 
 def sources(*folders: str) -> list[Path]:
-    """Tracked Python files below folders of the repository that exist."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--", *folders], cwd=REPO, check=True, capture_output=True
-    ).stdout.decode()
-    found = (REPO / name for name in listed.split("\0") if name.endswith(".py"))
-    return [path for path in found if path.is_file() and not path.is_symlink()]
+    """List the tracked Python files below folders of the repository that exist."""
+    command = ["git", "ls-files", "-z", "--", *folders]
+    process = subprocess.run(command, cwd=REPO, check=True, capture_output=True)
+    names = process.stdout.decode().split("\0")
+    paths = [REPO / name for name in names if name.endswith(".py")]
+    return [path for path in paths if path.is_file() and not path.is_symlink()]
 
 
 def circles(package: str = "embodichain") -> list[list[str]]:
-    """Groups of modules that import each other, directly or around, largest first.
+    """Find groups of modules that import each other, directly or not, largest first.
 
     Packages' ``__init__`` files count as modules.
     """
     graph = grimp.build_graph(package.partition(".")[0], cache_dir=None)
     modules = sorted(m for m in graph.modules if m == package or m.startswith(f"{package}."))
     number = {module: i for i, module in enumerate(modules)}
-    edges = [
-        (number[module], number[imported])
-        for module in modules
-        for imported in graph.find_modules_directly_imported_by(module)
-        if imported in number
-    ]
+    edges: list[tuple[int, int]] = []
+    for module in modules:
+        for imported in graph.find_modules_directly_imported_by(module):
+            if imported in number:
+                edges.append((number[module], number[imported]))
     rows, columns = np.array(edges or [(0, 0)]).T
-    matrix = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(modules),) * 2)
+    shape = (len(modules), len(modules))
+    matrix = csr_array((np.ones(len(rows)), (rows, columns)), shape=shape)
     _, labels = connected_components(matrix, connection="strong")
-    groups = [
-        [m for m, of in zip(modules, labels, strict=True) if of == label]
-        for label, count in Counter(labels.tolist()).items()
-        if count > 1
-    ]
+    modules_of: dict[int, list[str]] = {}
+    for module, label in zip(modules, labels.tolist(), strict=True):
+        modules_of.setdefault(label, []).append(module)
+    groups = [group for group in modules_of.values() if len(group) > 1]
     return sorted(groups, key=len, reverse=True)
 
 
 def private_accesses() -> list[str]:
-    """Every ``thing._name`` of another module of the package, as ``file:line: thing._name``."""
+    """List every ``thing._name`` of another module of the package, as ``file:line: thing._name``.
+
+    Names that no module of the package defines are those of libraries.
+    """
     trees = {path: ast.parse(path.read_text()) for path in sources("embodichain", "tasks")}
-    own = {path: set(_defined(tree)) for path, tree in trees.items()}
-    ours = set().union(*own.values())
-    return [
-        f"{path.relative_to(REPO)}:{node.lineno}: {ast.unparse(node)}"
-        for path, tree in trees.items()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute)
-        and _is_private(node.attr)
-        and node.attr in ours - own[path]
-        and not _is_self(node.value)
-    ]
+    names_of = {path: set(_defined_names(tree)) for path, tree in trees.items()}
+    all_names = set().union(*names_of.values())
+    accesses: list[str] = []
+    for path, tree in trees.items():
+        names_elsewhere = all_names - names_of[path]
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Attribute) or _is_self(node.value):
+                continue
+            if _is_private(node.attr) and node.attr in names_elsewhere:
+                accesses.append(f"{path.relative_to(REPO)}:{node.lineno}: {ast.unparse(node)}")
+    return accesses
 
 
 def _is_private(name: str) -> bool:
@@ -104,7 +105,8 @@ def _is_self(node: ast.expr) -> bool:
     return isinstance(node, ast.Name) and node.id in ("self", "cls")
 
 
-def _defined(tree: ast.Module) -> Iterator[str]:
+def _defined_names(tree: ast.Module) -> Iterator[str]:
+    """Yield the names that a module defines, assigns or imports anywhere."""
     for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
             yield node.name
@@ -117,7 +119,7 @@ def _defined(tree: ast.Module) -> Iterator[str]:
 
 
 def bases_of_env() -> list[str]:
-    """Our classes that `BaseEnv` inherits from."""
+    """List our classes that `BaseEnv` inherits from."""
     from embodichain.lab.gym.envs import BaseEnv
 
     return [c.__qualname__ for c in BaseEnv.__mro__[1:] if c.__module__.startswith("embodichain.")]
@@ -142,7 +144,7 @@ class Walk:
         self.functions: set[CodeType] = set()
         self._importing = 0
         self._until: Callable[[CodeType], bool] | None = None
-        self._root = f"{PACKAGE}{'/'}"
+        self._root = f"{PACKAGE}/"
 
     @contextmanager
     def traced(self, until: Callable[[CodeType], bool] | None = None) -> Iterator[None]:
@@ -168,7 +170,9 @@ class Walk:
             return None
         self.files[path.removeprefix(self._root)] = None
         self.functions.add(code)
-        return self._last_returned if self._until and self._until(code) else None
+        if self._until and self._until(code):
+            return self._last_returned
+        return None
 
     def _module_returned(self, frame: FrameType, event: str, arg: Any) -> Any:
         if event == "return":
@@ -231,30 +235,36 @@ def walk_event() -> Walk:
     return walk
 
 
+def _count_classes(paths: list[Path]) -> int:
+    """Count the classes that files define."""
+    count = 0
+    for path in paths:
+        nodes = ast.walk(ast.parse(path.read_text()))
+        count += sum(isinstance(node, ast.ClassDef) for node in nodes)
+    return count
+
+
 def main() -> None:
     """Print the table."""
-    package = lines("embodichain", "tasks")
-    rooms = [p.relative_to(REPO) for p in sorted(PACKAGE.iterdir()) if p.is_dir()]
+    package_lines = lines("embodichain", "tasks")
     terms = ("embodichain/lab/gym/envs/mdp", "embodichain/lab/gym/envs/managers")
-    classes = sum(
-        isinstance(node, ast.ClassDef)
-        for path in sources(*terms)
-        for node in ast.walk(ast.parse(path.read_text()))
-    )
     groups = circles()
     walks = [walk_command(), walk_step(), walk_event()]
-    rows = [
-        ("lines of the package", package),
-        *((f"  {room.name}", count) for room in rooms if (count := lines(str(room)))),
+    rows: list[tuple[str, object]] = [("lines of the package", package_lines)]
+    for folder in sorted(PACKAGE.iterdir()):
+        count = lines(str(folder.relative_to(REPO))) if folder.is_dir() else 0
+        if count:
+            rows.append((f"  {folder.name}", count))
+    rows += [
         ("files of recording", len(sources("embodichain/recording"))),
         ("lines of terms and their managers", lines(*terms)),
-        ("classes among them", classes),
+        ("classes among them", _count_classes(sources(*terms))),
         ("files opened: command / step / event", " / ".join(str(len(w.files)) for w in walks)),
         ("functions called", " / ".join(str(len(w.functions)) for w in walks)),
         ("classes that BaseEnv inherits from", len(bases_of_env())),
         ("private accesses across modules", len(private_accesses())),
         ("circles of imports, files", ", ".join(str(len(group)) for group in groups) or "none"),
-        ("tests a line of source", f"{lines('tests') / package:.2f}"),
+        ("tests a line of source", f"{lines('tests') / package_lines:.2f}"),
     ]
     width = max(len(name) for name, _ in rows)
     for name, value in rows:

@@ -1,4 +1,4 @@
-"""Kills commands at random (SIGKILL), goes on with them, and says what came (docs/reliability.md).
+"""Kill commands at random (SIGKILL), go on with them, report the results (docs/reliability.md).
 
 python scripts/kill_at_random.py                      # 5 kills of each case
 python scripts/kill_at_random.py train-sac --times 20 --seed 3
@@ -26,24 +26,26 @@ def main() -> int:
     parser.add_argument("--times", type=int, default=5, help="kills of each; default: 5")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     options = parser.parse_args()
-    draw = random.Random(options.seed)
-    failed = False
+    random_moments = random.Random(options.seed)
+    has_failed = False
     with tempfile.TemporaryDirectory() as folder, verb_forks(Path(folder).resolve()) as forks:
+        place = Path(folder).resolve()
         for name in options.cases or KILLS:
-            begun = time.monotonic()
-            found = KILLS[name](forks, Path(folder).resolve(), draw, options.times)
-            wrong = [what for result in found for what in result.wrong]
-            failed = failed or bool(wrong)
-            alive = sum(not result.ended for result in found)
-            left = sum(result.left for result in found)
+            started = time.monotonic()
+            results = KILLS[name](forks, place, random_moments, options.times)
+            seconds = time.monotonic() - started
+            kills = sum(not result.ended for result in results)
+            temporary_files = sum(result.left for result in results)
+            wrong_results = [result for result in results if result.wrong]
+            has_failed = has_failed or bool(wrong_results)
             sys.stdout.write(
-                f"{name}: {alive} kills of {len(found)} tries, {left} temporary files left "
-                f"and removed, {sum(bool(r.wrong) for r in found)} not as promised, "
-                f"{time.monotonic() - begun:.0f} s\n"
+                f"{name}: {kills} kills of {len(results)} tries, {temporary_files} temporary files "
+                f"left and removed, {len(wrong_results)} not as promised, {seconds:.0f} s\n"
             )
-            sys.stdout.write("".join(f"  {what}\n" for what in wrong))
+            for result in wrong_results:
+                sys.stdout.write("".join(f"  {fault}\n" for fault in result.wrong))
             sys.stdout.flush()
-    return int(failed)
+    return int(has_failed)
 
 
 if __name__ == "__main__":

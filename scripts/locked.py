@@ -1,4 +1,4 @@
-"""Installs dependencies whose hashes are those of locked.txt, and nothing else.
+"""Install dependencies whose hashes are those of locked.txt, and nothing else.
 
 `python scripts/locked.py install --extra robots,video` installs what `embodichain[robots,video]`
 needs into the environment of this interpreter: torch first, then the rest, each file compared with
@@ -24,10 +24,11 @@ from pathlib import Path
 
 LOCK = Path(__file__).parents[1] / "locked.txt"
 RUN = "run"
-"""What the project needs itself."""
+"""Name of the set of packages that the project needs itself."""
 CUDA = "torch-cuda"
-"""What only torch's CUDA build asks for."""
+"""Name of the set that only torch's CUDA build asks for."""
 _FIRST = {"setuptools", "torch"}
+"""Packages that are installed before the others."""
 _ENTRY = re.compile(r"^([a-z0-9-]+)==([^ ;\\]+)(?: ; ([^\\]+?))? \\$")
 _HASH = re.compile(r"^    --hash=(sha256:[0-9a-f]{64})(?: \\)?$")
 _NOTE = re.compile(r"^    # (licence|for|via): (.+)$")
@@ -56,74 +57,96 @@ class Package:
     via: tuple[str, ...]
 
     def lines(self, *, notes: bool = True) -> str:
-        """The entry, as in locked.txt.
+        """Return the entry, as in locked.txt.
 
         Args:
-            notes: Whether the comments follow, too.
+            notes: Whether comments follow: licence, sets, and the packages that ask for it.
         """
         marker = f" ; {self.marker}" if self.marker else ""
-        text = " \\\n    ".join(
-            [f"{self.name}=={self.version}{marker}", *(f"--hash={h}" for h in self.hashes)]
-        )
+        parts = [f"{self.name}=={self.version}{marker}"]
+        parts += [f"--hash={digest}" for digest in self.hashes]
+        text = " \\\n    ".join(parts)
         if notes:
             text += f"\n    # licence: {self.licence}"
-            text += f"\n    # for: {', '.join(self.sets)}\n    # via: {', '.join(self.via)}"
+            text += f"\n    # for: {', '.join(self.sets)}"
+            text += f"\n    # via: {', '.join(self.via)}"
         return text + "\n"
 
 
 def read(lock: Path = LOCK) -> list[Package]:
-    """The packages of a lock file.
+    """Read the packages of a lock file.
 
     Raises:
-        ValueError: A line is not one that `make pins` writes; with its number.
+        ValueError: If a line is not one that `make pins` writes; with its number.
     """
-    found: list[Package] = []
+    packages: list[Package] = []
     for number, line in enumerate(lock.read_text(encoding="utf-8").splitlines(), 1):
         if line.startswith("#"):
             continue
         if match := _ENTRY.match(line):
-            found.append(Package(match[1], match[2], match[3] or "", (), "", (), ()))
-        elif found and (match := _HASH.match(line)):
-            found[-1] = replace(found[-1], hashes=(*found[-1].hashes, match[1]))
-        elif found and (match := _NOTE.match(line)):
-            words = tuple(match[2].split(", "))
-            named = {"licence": match[2], "for": words, "via": words}
-            field = {"for": "sets"}.get(match[1], match[1])
-            found[-1] = replace(found[-1], **{field: named[match[1]]})
+            package = Package(
+                name=match[1],
+                version=match[2],
+                marker=match[3] or "",
+                hashes=(),
+                licence="",
+                sets=(),
+                via=(),
+            )
+            packages.append(package)
+        elif packages and (match := _HASH.match(line)):
+            package = packages[-1]
+            packages[-1] = replace(package, hashes=(*package.hashes, match[1]))
+        elif packages and (match := _NOTE.match(line)):
+            packages[-1] = _with_note(packages[-1], kind=match[1], text=match[2])
         else:
             raise ValueError(f"{lock.name}, line {number}: not written by `make pins`: {line!r}")
-    return found
+    return packages
+
+
+def _with_note(package: Package, kind: str, text: str) -> Package:
+    """Return a package with what a comment of its entry says."""
+    if kind == "licence":
+        return replace(package, licence=text)
+    names = tuple(text.split(", "))
+    if kind == "for":
+        return replace(package, sets=names)
+    return replace(package, via=names)
 
 
 def of_sets(packages: Iterable[Package], sets: Iterable[str]) -> list[Package]:
-    """What is installed for any of the sets.
+    """Return the packages that are installed for any of the sets.
 
     Raises:
-        ValueError: There is no such set; with those there are.
+        ValueError: If there is no such set; lists those that exist.
     """
-    packages, wanted = list(packages), set(sets)
-    known = {name for p in packages for name in p.sets}
-    if unknown := sorted(wanted - known):
-        raise ValueError(f"{', '.join(unknown)}: not among {', '.join(sorted(known))}")
-    return [p for p in packages if wanted & set(p.sets)]
+    packages = list(packages)
+    chosen_sets = set(sets)
+    all_sets = {name for package in packages for name in package.sets}
+    unknown = sorted(chosen_sets - all_sets)
+    if unknown:
+        raise ValueError(f"{', '.join(unknown)}: not among {', '.join(sorted(all_sets))}")
+    return [package for package in packages if chosen_sets & set(package.sets)]
 
 
 def with_needs(packages: Iterable[Package], names: Iterable[str]) -> list[Package]:
-    """Packages, and what they need, directly or not.
+    """Return packages, and those that they need, directly or not.
 
     Raises:
-        ValueError: There is no such package.
+        ValueError: If there is no such package.
     """
-    packages, todo = list(packages), list(names)
-    if unknown := sorted(set(todo) - {p.name for p in packages}):
+    packages = list(packages)
+    unread = list(names)
+    unknown = sorted(set(unread) - {package.name for package in packages})
+    if unknown:
         raise ValueError(f"no package {', '.join(unknown)}")
-    seen: set[str] = set()
-    while todo:
-        name = todo.pop()
-        if name not in seen:
-            seen.add(name)
-            todo += [p.name for p in packages if name in p.via]
-    return [p for p in packages if p.name in seen]
+    needed: set[str] = set()
+    while unread:
+        name = unread.pop()
+        if name not in needed:
+            needed.add(name)
+            unread += [package.name for package in packages if name in package.via]
+    return [package for package in packages if package.name in needed]
 
 
 def install(chosen: list[Package], cuda: list[Package], torch_index: str) -> None:
@@ -131,11 +154,11 @@ def install(chosen: list[Package], cuda: list[Package], torch_index: str) -> Non
 
     Args:
         chosen: The packages.
-        cuda: What follows them if torch is a CUDA build.
-        torch_index: Where torch is taken from; empty: where the rest is.
+        cuda: Packages that follow them if torch is a CUDA build.
+        torch_index: The index that has torch; empty is that of the others.
 
     Raises:
-        subprocess.CalledProcessError: pip refused a file, or found none.
+        subprocess.CalledProcessError: If pip refuses a file, or finds none.
     """
     rest = [p for p in chosen if p.name not in _FIRST]
     torch = [p for p in chosen if p.name == "torch"]
@@ -150,18 +173,19 @@ def install(chosen: list[Package], cuda: list[Package], torch_index: str) -> Non
 
 
 def cpu_build(torch: Package, options: list[str]) -> Package:
-    """The CPU build of torch, if pip finds one, else torch as it is.
+    """Return the CPU build of torch, if pip finds one, else torch as it is.
 
     Without hashes pip takes the CPU build, whose version X.Y.Z+cpu is the higher one. With hashes
     it would prefer any file whose hash an index lists to one in a folder (``--find-links``).
     """
     version = f"{torch.version}+cpu"
     command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "index", "versions"]
-    done = subprocess.run(
-        [*command, "torch", *options], capture_output=True, text=True, check=False
-    )
-    found = re.split(r"[\s,]+", done.stdout)
-    return replace(torch, version=version) if version in found else torch
+    command += ["torch", *options]
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    versions = re.split(r"[\s,]+", process.stdout)
+    if version not in versions:
+        return torch
+    return replace(torch, version=version)
 
 
 def needs_cuda() -> bool:
@@ -170,10 +194,10 @@ def needs_cuda() -> bool:
 
 
 def _pip(packages: list[Package], options: list[str] | None = None) -> None:
-    """Install exactly these.
+    """Install exactly these packages.
 
-    Python compiles what it imports at its first import: compiling all of torch beforehand takes
-    longer than installing it.
+    They are not compiled: Python compiles a module at its first import, and compiling all of torch
+    beforehand takes longer than installing it.
     """
     if not packages:
         return
@@ -182,35 +206,40 @@ def _pip(packages: list[Package], options: list[str] | None = None) -> None:
         file.write_text("".join(p.lines(notes=False) for p in packages), encoding="utf-8")
         command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install"]
         command += ["--no-compile", "--no-deps", "--require-hashes", *(options or [])]
-        subprocess.run([*command, "-r", file], check=True)
+        command += ["-r", str(file)]
+        subprocess.run(command, check=True)
 
 
-def _names(text: str) -> list[str]:
+def _split_names(text: str) -> list[str]:
+    """Return the names of a list with commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
-    for verb, what in (("install", "into this environment"), ("print", "as requirements for pip")):
-        one = verbs.add_parser(verb, help=what)
-        one.add_argument("--extra", default="", metavar="NAME,...", help="extras of the project")
-        one.add_argument("--only", default="", metavar="NAME,...", help="packages, no project")
-        one.add_argument("--lock", type=Path, default=LOCK)
-    verbs.choices["install"].add_argument("--torch-index", default="", metavar="URL")
-    verbs.choices["print"].add_argument("--cuda", action="store_true", help="torch's CUDA build")
+    install_parser = verbs.add_parser("install", help="into this environment")
+    install_parser.add_argument("--torch-index", default="", metavar="URL")
+    print_parser = verbs.add_parser("print", help="as requirements for pip")
+    print_parser.add_argument("--cuda", action="store_true", help="torch's CUDA build")
+    for verb in (install_parser, print_parser):
+        verb.add_argument("--extra", default="", metavar="NAME,...", help="extras of the project")
+        verb.add_argument("--only", default="", metavar="NAME,...", help="packages, no project")
+        verb.add_argument("--lock", type=Path, default=LOCK)
     options = parser.parse_args(arguments)
-    extras, only = _names(options.extra), _names(options.only)
+    extras = _split_names(options.extra)
+    names = _split_names(options.only)
     try:
         packages = read(options.lock)
-        chosen = with_needs(packages, only) if only else of_sets(packages, [RUN, *extras])
+        chosen = with_needs(packages, names) if names else of_sets(packages, [RUN, *extras])
         cuda = of_sets(packages, [CUDA])
         if options.verb == "install":
             install([p for p in chosen if p not in cuda], cuda, options.torch_index)
         else:
-            listed = chosen + (cuda if options.cuda else [])
-            print("".join(p.lines(notes=False) for p in listed), end="")
+            if options.cuda:
+                chosen = chosen + cuda
+            print("".join(p.lines(notes=False) for p in chosen), end="")
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

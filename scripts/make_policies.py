@@ -1,4 +1,4 @@
-"""Trains, exports and evaluates the policies that ship: `scripts/make_policies.py [TASK...]`.
+"""Train, export and evaluate the policies that ship: `scripts/make_policies.py [TASK...]`.
 
 Without tasks, it makes all of `RECIPES`. Each is the task's own training (`suggested.train`) with
 the seed of the recipe. `--output` writes elsewhere; `--key KEY=VALUE` changes the training, for a
@@ -37,6 +37,7 @@ MORE = {"humanoid_velocity": 1, "lift_cube": 2, "quadruped_rough": 1}
 """Made when named: they need longer, and the extra `robots`. `humanoid_velocity` reached 0.88, less
 than `LEAST`."""
 EPISODES = 500
+"""Of an evaluation."""
 LEAST = 0.9
 """Success rate below which a policy is not written."""
 
@@ -52,18 +53,19 @@ def make(task: str, seed: int, output: Path, keys: list[str], episodes: int, lea
         episodes: Episodes of the evaluation.
         least: The least success rate.
     """
-    state = commit()
+    source_commit = commit()
     training = ["train", f"task={task}", f"seed={seed}", *keys]
     with tempfile.TemporaryDirectory() as folder:
-        trained = verb([*training, "record=none", "eval.episodes=2", f"output_dir={folder}"])
-        script, plain = Path(folder) / "traced.pt", Path(folder) / f"{task}.pt"
-        run = trained["folder"]
-        verb(["export", "policy", run, "--format", "torchscript", "-o", str(script)], quiet=False)
+        not_recorded = ["record=none", f"output_dir={folder}"]
+        trained = verb([*training, "eval.episodes=2", *not_recorded])
+        script = Path(folder) / "traced.pt"
+        plain = Path(folder) / f"{task}.pt"
+        export = ["export", "policy", trained["folder"], "--format", "torchscript"]
+        verb([*export, "-o", str(script)], quiet=False)
         plain.write_bytes(without_paths(script.read_bytes()))
-        evaluation = ["eval", "FILE", f"task={task}", f"episodes={episodes}", "num_envs=50"]
-        line = [str(plain) if word == "FILE" else word for word in evaluation]
-        changes = [key for key in keys if key.startswith("task.")]
-        result = verb([*line, *changes, "record=none", f"output_dir={folder}"])
+        evaluation = [f"task={task}", f"episodes={episodes}", "num_envs=50"]
+        task_changes = [key for key in keys if key.startswith("task.")]
+        result = verb(["eval", str(plain), *evaluation, *task_changes, *not_recorded])
         success = result["success"]
         shown = f"{task}: {success['count']} of {success['trials']} episodes succeeded"
         if success["rate"] < least:
@@ -72,12 +74,12 @@ def make(task: str, seed: int, output: Path, keys: list[str], episodes: int, lea
             task=task,
             algo=trained["algo"],
             command=shown_command(training),
-            commit=state,
+            commit=source_commit,
             mujoco=metadata.version("mujoco"),
             torch=metadata.version("torch"),
             env_steps=trained["env_steps"],
             train_seconds=round(trained["train_seconds"], 1),
-            evaluated=shown_command(["eval", "pretrained", *evaluation[2:]]),
+            evaluated=shown_command(["eval", "pretrained", *evaluation]),
             episodes=success["trials"],
             success=success["rate"],
             interval=tuple(round(end, 4) for end in success["interval"]),
@@ -96,16 +98,17 @@ def verb(arguments: list[str], quiet: bool = True) -> dict[str, Any]:
     Raises:
         SystemExit: If it fails; its messages are on stderr.
     """
-    command = [sys.executable, "-m", "embodichain", *arguments, "--json", *["--quiet"] * quiet]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(done.returncode)
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    command = [sys.executable, "-m", "embodichain", *arguments, "--json"]
+    if quiet:
+        command.append("--quiet")
+    process = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    if process.returncode:
+        raise SystemExit(process.returncode)
+    return json.loads(process.stdout)
 
 
 def shown_command(arguments: list[str]) -> str:
-    """The command as one types it."""
+    """Return the command as one types it."""
     return " ".join(["embodichain", *arguments])
 
 
@@ -121,10 +124,11 @@ def without_paths(script: bytes) -> bytes:
         zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as new,
     ):
         for entry in old.infolist():
-            if not entry.filename.endswith((".debug_pkl", "/serialization_id")):
-                plain = zipfile.ZipInfo(entry.filename)  # without a time
-                plain.compress_type = zipfile.ZIP_DEFLATED
-                new.writestr(plain, old.read(entry))
+            if entry.filename.endswith((".debug_pkl", "/serialization_id")):
+                continue
+            plain = zipfile.ZipInfo(entry.filename)  # without a time
+            plain.compress_type = zipfile.ZIP_DEFLATED
+            new.writestr(plain, old.read(entry))
     return stream.getvalue()
 
 
@@ -136,8 +140,10 @@ def commit() -> str:
         return done.stdout.strip()
 
     folders = ("embodichain", "conf", "tasks", ":!embodichain/data/policies")
-    changed = git("status", "--porcelain", "--", *folders)
-    return git("rev-parse", "HEAD") + ("+changes" if changed else "")
+    head = git("rev-parse", "HEAD")
+    if git("status", "--porcelain", "--", *folders):
+        return f"{head}+changes"
+    return head
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
 Run it after changing a dimension: `python scripts/make_ur10_meshes.py [FOLDER]`. One mesh per link
 and colour, because every geometry of a model costs time in every physics step. Collision shapes
-are not here; they stand in UR10.urdf. Dimensions are in metres, in the frames of UR10.urdf.
+are not made here: UR10.urdf has them. Dimensions are in metres, in the frames of UR10.urdf.
 """
 
 from __future__ import annotations
@@ -15,9 +15,14 @@ from pathlib import Path
 from typing import Literal
 
 FOLDER = Path(__file__).parents[1] / "embodichain/data/assets/UniversalRobots/UR10/visual"
-SEGMENTS = 28  # of a full turn
-LID = 0.016  # height of a joint's blue lid
-SEAM = 0.003  # height of the dark ring below it
+SEGMENTS = 28
+"""Of a full turn."""
+ARC_SEGMENTS = 4
+"""Of a rounded rim."""
+LID = 0.016
+"""Height of a joint's blue lid."""
+SEAM = 0.003
+"""Height of the dark ring below it."""
 
 Axis = Literal["x", "y", "z"]
 Point = tuple[float, float, float]
@@ -29,14 +34,14 @@ class Turned:
     """A cylinder with rounded rims along a coordinate axis.
 
     Attributes:
-        part: Which of the link's meshes it belongs to.
+        part: The mesh of the link that it belongs to.
         axis: Direction of the centre line.
         lo: Where it begins along `axis`.
         hi: Where it ends along `axis`.
         radius: Its radius.
-        at: Where the centre line lies: the other two coordinates, in order.
-        round_lo: Rounding of the rim at `lo`.
-        round_hi: Rounding of the rim at `hi`.
+        at: The other two coordinates of the centre line, in order.
+        round_lo: Radius of the rounded rim at `lo`.
+        round_hi: Radius of the rounded rim at `hi`.
     """
 
     part: str
@@ -49,43 +54,58 @@ class Turned:
     round_hi: float = 0.0
 
     def profile(self) -> list[tuple[float, float]]:
-        """Return the rim as (radius, height) from `lo` to `hi`."""
-
-        def arc(rounding: float) -> Iterator[tuple[float, float]]:
-            steps = 4 if rounding else 0
-            for i in range(steps + 1):
-                angle = 0.5 * math.pi * (i / steps if steps else 0.0)
-                yield rounding * (1 - math.sin(angle)), rounding * (1 - math.cos(angle))
-
-        low = [(self.radius - inset, self.lo + rise) for inset, rise in arc(self.round_lo)]
-        high = [(self.radius - inset, self.hi - rise) for inset, rise in arc(self.round_hi)]
+        """Return the outline as (radius, height) from `lo` to `hi`."""
+        low = [(self.radius - inset, self.lo + rise) for inset, rise in rim(self.round_lo)]
+        high = [(self.radius - inset, self.hi - rise) for inset, rise in rim(self.round_hi)]
         return low + high[::-1]
 
     def place(self, radial: tuple[float, float], along: float) -> Point:
         """Return the point at `along` on the centre line, moved by `radial` across it."""
-        a, b = self.at[0] + radial[0], self.at[1] + radial[1]
-        return {"x": (along, a, b), "y": (a, along, b), "z": (a, b, along)}[self.axis]
+        a = self.at[0] + radial[0]
+        b = self.at[1] + radial[1]
+        if self.axis == "x":
+            return (along, a, b)
+        if self.axis == "y":
+            return (a, along, b)
+        return (a, b, along)
+
+
+def rim(rounding: float) -> Iterator[tuple[float, float]]:
+    """Yield the points of a rounded rim, as distances from the wall and from the end.
+
+    Args:
+        rounding: Radius of the arc; 0 is a sharp rim, of one point.
+    """
+    if not rounding:
+        yield 0.0, 0.0
+        return
+    for i in range(ARC_SEGMENTS + 1):
+        angle = 0.5 * math.pi * (i / ARC_SEGMENTS)
+        inset = rounding * (1 - math.sin(angle))
+        rise = rounding * (1 - math.cos(angle))
+        yield inset, rise
 
 
 def capped(axis: Axis, face: float, inner: float, radius: float, x: float = 0.0) -> list[Turned]:
     """Return a joint housing from `inner` to the lid whose outer face is at `face`."""
     sign = 1.0 if face > inner else -1.0
-    lid, seam = face - sign * LID, face - sign * (LID + SEAM)
-
-    def span(part: str, start: float, end: float, r: float, rim: float = 0.0) -> Turned:
-        at = (x, 0.0)
-        if sign > 0:
-            return Turned(part, axis, start, end, r, at, round_hi=rim)
-        return Turned(part, axis, end, start, r, at, round_lo=rim)
-
+    lid = face - sign * LID
+    seam = face - sign * (LID + SEAM)
+    at = (x, 0.0)
+    if sign > 0:
+        return [
+            Turned("housing", axis, inner, seam, radius, at),
+            Turned("seam", axis, seam, lid, radius - 0.002, at),
+            Turned("cap", axis, lid, face, radius, at, round_hi=0.009),
+        ]
     return [
-        span("housing", inner, seam, radius),
-        span("seam", seam, lid, radius - 0.002),
-        span("cap", lid, face, radius, rim=0.009),
+        Turned("housing", axis, seam, inner, radius, at),
+        Turned("seam", axis, lid, seam, radius - 0.002, at),
+        Turned("cap", axis, face, lid, radius, at, round_lo=0.009),
     ]
 
 
-WRIST = [*capped("z", 0.046, -0.0535, 0.0455)]
+WRIST = capped("z", 0.046, -0.0535, 0.0455)
 LINKS: dict[str, list[Turned]] = {
     "base": [
         Turned("housing", "z", 0.0, 0.010, 0.095, round_hi=0.002),
@@ -138,32 +158,42 @@ LINKS: dict[str, list[Turned]] = {
 def turn(solid: Turned) -> Mesh:
     """Return the closed triangle mesh of one turned solid, faces counter-clockwise from outside."""
     rings = solid.profile()
-    points = [
-        solid.place((r * math.cos(t), r * math.sin(t)), along)
-        for r, along in rings
-        for t in (2 * math.pi * i / SEGMENTS for i in range(SEGMENTS))
-    ]
-    bottom, top = len(points), len(points) + 1
-    points += [solid.place((0.0, 0.0), solid.lo), solid.place((0.0, 0.0), solid.hi)]
-    faces = []
-    last = (len(rings) - 1) * SEGMENTS
+    angles = [2 * math.pi * i / SEGMENTS for i in range(SEGMENTS)]
+    points: list[Point] = []
+    for radius, along in rings:
+        for angle in angles:
+            radial = (radius * math.cos(angle), radius * math.sin(angle))
+            points.append(solid.place(radial, along))
+    bottom = len(points)
+    top = bottom + 1
+    points.append(solid.place((0.0, 0.0), solid.lo))
+    points.append(solid.place((0.0, 0.0), solid.hi))
+
+    faces: list[tuple[int, int, int]] = []
+    last_ring = (len(rings) - 1) * SEGMENTS
     for i in range(SEGMENTS):
         j = (i + 1) % SEGMENTS
-        faces += [(bottom, j, i), (top, last + i, last + j)]
-        for k in range(0, last, SEGMENTS):
-            faces += [(k + i, k + j, k + SEGMENTS + j), (k + i, k + SEGMENTS + j, k + SEGMENTS + i)]
+        faces.append((bottom, j, i))
+        faces.append((top, last_ring + i, last_ring + j))
+        for ring in range(0, last_ring, SEGMENTS):
+            above = ring + SEGMENTS
+            faces.append((ring + i, ring + j, above + j))
+            faces.append((ring + i, above + j, above + i))
     if solid.axis == "y":  # (x, z, y) is left-handed
         faces = [(a, c, b) for a, b, c in faces]
     return points, faces
 
 
 def obj(name: str, solids: list[Turned]) -> str:
-    """Return the text of an OBJ file that holds all `solids`."""
+    """Return the text of an OBJ file that has all `solids`."""
     lines = [f"# Written by scripts/make_ur10_meshes.py: {name}"]
     offset = 1  # OBJ counts from one
-    for points, faces in map(turn, solids):
-        lines += ["v " + " ".join(f"{value + 0.0:.5f}" for value in p) for p in points]
-        lines += ["f " + " ".join(str(offset + index) for index in face) for face in faces]
+    for solid in solids:
+        points, faces = turn(solid)
+        for x, y, z in points:
+            lines.append(f"v {x:.5f} {y:.5f} {z:.5f}")
+        for a, b, c in faces:
+            lines.append(f"f {offset + a} {offset + b} {offset + c}")
         offset += len(points)
     return "\n".join(lines).replace("-0.00000", "0.00000") + "\n"
 
@@ -172,7 +202,8 @@ def main(folder: Path) -> None:
     """Write every mesh into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     for link, solids in LINKS.items():
-        for part in dict.fromkeys(solid.part for solid in solids):
+        parts = dict.fromkeys(solid.part for solid in solids)
+        for part in parts:
             name = f"{link}_{part}"
             text = obj(name, [solid for solid in solids if solid.part == part])
             (folder / f"{name}.obj").write_text(text, encoding="ascii")

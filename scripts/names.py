@@ -1,4 +1,4 @@
-"""Lists the public names of the package, and finds those that disappeared or changed incompatibly.
+"""List the public names of the package, and find those that disappeared or changed incompatibly.
 
 `python scripts/names.py` (`make names`) writes ``tests/packaging/public_names.txt``: one name a
 line, with its parameters. `--check` writes nothing and compares: the exit code is 1 if a name is
@@ -16,7 +16,7 @@ Public is:
 
 Types and values of defaults are not compared: a parameter is ``name``, ``name=`` if it may be left
 out, ``*name`` or ``**name``; names after ``*`` are keywords. (griffe compares the Python API with a
-commit of git. The command line, keys and terms are the larger part here, and want the same.)
+commit of git. The command line, keys and terms are the larger part here, and need the same.)
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ import sys
 import types
 import typing
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,7 @@ MODULES = (
     "embodichain.utils.configclass",
     "embodichain.utils.errors",
 )
-"""Public modules that are no packages: what docs/ and README.md import, and configs."""
+"""Public modules that are not packages: those that docs/ and README.md import, and configs."""
 _GROUPS = ("task", "algo", "experiment", "record", "scene", "sim", "viewer")
 _LINE = re.compile(r"(?P<name>[^(]+)(?:\((?P<parameters>.*)\))?")
 
@@ -77,29 +78,36 @@ def all_names() -> list[str]:
 def _python() -> Iterator[str]:
     import embodichain
 
-    found = pkgutil.walk_packages(embodichain.__path__, "embodichain.")
-    packages = [module.name for module in found if module.ispkg]
+    modules = pkgutil.walk_packages(embodichain.__path__, "embodichain.")
+    packages = [module.name for module in modules if module.ispkg]
     for name in ["embodichain", *packages, *MODULES]:
         module = importlib.import_module(name)
         for exported in getattr(module, "__all__", ()):
             if not exported.startswith("_"):
-                yield from _object(f"python {name}.{exported}", getattr(module, exported))
+                yield from _names_of(f"python {name}.{exported}", getattr(module, exported))
 
 
-def _object(name: str, value: Any) -> Iterator[str]:
-    if inspect.isclass(value):
-        yield name + _parameters(value)
-        for member, found in inspect.getmembers(value):
-            if not member.startswith("_") and _is_ours(value, member):
-                yield f"{name}.{member}" + (_parameters(found) if inspect.isroutine(found) else "")
-    else:
-        yield name + (_parameters(value) if callable(value) else "")
+def _names_of(name: str, value: Any) -> Iterator[str]:
+    """Yield the line of an object, and those of the public members of a class."""
+    if not inspect.isclass(value):
+        yield name + _parameters(value) if callable(value) else name
+        return
+    yield name + _parameters(value)
+    for member, attribute in inspect.getmembers(value):
+        if member.startswith("_") or not _is_ours(value, member):
+            continue
+        line = f"{name}.{member}"
+        if inspect.isroutine(attribute):
+            line += _parameters(attribute)
+        yield line
 
 
 def _is_ours(owner: type, member: str) -> bool:
     """Whether a class of ours defines a member; those of libraries may come and go with them."""
-    definers = (c for c in owner.__mro__ if member in vars(c))
-    return next((c.__module__.startswith("embodichain") for c in definers), False)
+    for definer in owner.__mro__:
+        if member in vars(definer):
+            return definer.__module__.startswith("embodichain")
+    return False
 
 
 def _parameters(value: Any) -> str:
@@ -108,18 +116,23 @@ def _parameters(value: Any) -> str:
         signature = inspect.signature(value)
     except (TypeError, ValueError):  # an exception, a type of C
         return ""
-    words = []
-    kinds = inspect.Parameter
-    named = False
+    words: list[str] = []
+    has_star = False
     for parameter in signature.parameters.values():
-        if parameter.name in ("self", "cls"):
+        name = parameter.name
+        if name in ("self", "cls"):
             continue
-        star = {kinds.VAR_POSITIONAL: "*", kinds.VAR_KEYWORD: "**"}.get(parameter.kind, "")
-        if parameter.kind == kinds.KEYWORD_ONLY and not named:
+        if parameter.kind == inspect.Parameter.VAR_POSITIONAL:
+            words.append(f"*{name}")
+            has_star = True
+            continue
+        if parameter.kind == inspect.Parameter.VAR_KEYWORD:
+            words.append(f"**{name}")
+            continue
+        if parameter.kind == inspect.Parameter.KEYWORD_ONLY and not has_star:
             words.append("*")
-        named |= star == "*" or parameter.kind == kinds.KEYWORD_ONLY
-        default = parameter.default is not kinds.empty and not star
-        words.append(star + parameter.name + "=" * default)
+            has_star = True
+        words.append(name if parameter.default is inspect.Parameter.empty else f"{name}=")
     return f"({', '.join(words)})"
 
 
@@ -141,12 +154,19 @@ def _keys() -> Iterator[str]:
     from embodichain.config.keys.learners import LEARNERS
     from embodichain.config.keys.schema import RootCfg
 
-    yield from _fields("", RootCfg, ())
+    yield from _keys_of("", RootCfg, ())
     for _, entry in LEARNERS.items():
-        yield from _fields("algo", entry.config, ())
+        yield from _keys_of("algo", entry.config, ())
 
 
-def _fields(path: str, config: type, above: tuple[type, ...]) -> Iterator[str]:
+def _keys_of(path: str, config: type, above: tuple[type, ...]) -> Iterator[str]:
+    """Yield the keys of a data class and of those within it.
+
+    Args:
+        path: Key path of the data class.
+        config: It.
+        above: The data classes that it is in: one within itself is not read again.
+    """
     if config in above:
         return
     hints = typing.get_type_hints(config)
@@ -155,26 +175,27 @@ def _fields(path: str, config: type, above: tuple[type, ...]) -> Iterator[str]:
             continue
         key = f"{path}.{name}" if path else name
         yield f"key {key}"
-        yield from _below(key, hints[name], (*above, config))
+        yield from _keys_below(key, hints[name], (*above, config))
 
 
-def _below(key: str, hint: Any, above: tuple[type, ...]) -> Iterator[str]:
-    """Keys of the data classes in a type: of all variants of a union, of a mapping's values."""
+def _keys_below(key: str, hint: Any, above: tuple[type, ...]) -> Iterator[str]:
+    """Yield keys of data classes in a type: of variants of a union, and of a mapping's values."""
     if hint is SensorCfg:
         for config in dict.fromkeys(sensor_configs().values()):
-            yield from _fields(key, config, above)
+            yield from _keys_of(key, config, above)
         return
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-        yield from _fields(key, hint, above)
+        yield from _keys_of(key, hint, above)
         return
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    origin = typing.get_origin(hint)
+    arguments = typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         for variant in arguments:
-            yield from _below(key, variant, above)
+            yield from _keys_below(key, variant, above)
     elif isinstance(origin, type) and len(arguments) == 2 and issubclass(origin, dict):
-        yield from _below(f"{key}.*", arguments[1], above)
+        yield from _keys_below(f"{key}.*", arguments[1], above)
     elif isinstance(origin, type) and issubclass(origin, list):
-        yield from _below(f"{key}.*", arguments[0], above)
+        yield from _keys_below(f"{key}.*", arguments[0], above)
 
 
 def _choices() -> Iterator[str]:
@@ -187,37 +208,39 @@ def _terms() -> Iterator[str]:
     from embodichain.cli.results.terms import SECTION_OF, all_entries
 
     for entry in all_entries():
-        words = [
-            name + "=" * (parameter.default is not inspect.Parameter.empty)
-            for name, parameter in entry.spec.params.items()
-        ]
+        words: list[str] = []
+        for name, parameter in entry.spec.params.items():
+            words.append(name if parameter.default is inspect.Parameter.empty else f"{name}=")
+        if words:
+            words.insert(0, "*")
         for kind in entry.kinds:
-            yield f"term {SECTION_OF[kind]} {entry.name}(*, {', '.join(words)})".replace(
-                "*, )", ")"
-            )
+            yield f"term {SECTION_OF[kind]} {entry.name}({', '.join(words)})"
 
 
 def breaks(old: Iterable[str], new: Iterable[str]) -> dict[str, str]:
-    """Names that disappeared or changed incompatibly.
+    """Find names that disappeared or changed incompatibly.
 
     Args:
         old: Lines of the list.
         new: Lines as they are now.
 
     Returns:
-        Name -> what is wrong with it now, as a sentence.
+        Name -> why it is broken, as the rest of a sentence.
     """
-    now = {name: parameters for name, parameters in map(_split, new)}
-    found = {}
-    for name, before in map(_split, old):
-        if name not in now:
-            found[name] = "is gone"
-        elif before is not None and (why := _refuses(before, now[name])):
-            found[name] = why
-    return found
+    parameters_now = dict(map(_split, new))
+    reasons: dict[str, str] = {}
+    for name, parameters in map(_split, old):
+        if name not in parameters_now:
+            reasons[name] = "is gone"
+        elif parameters is not None:
+            reason = _why_refused(parameters, parameters_now[name])
+            if reason:
+                reasons[name] = reason
+    return reasons
 
 
 def _split(line: str) -> tuple[str, list[str] | None]:
+    """Return the name in a line, and its parameters, or None if it is not called."""
     match = _LINE.fullmatch(line.strip())
     if match is None:
         raise ValueError(f"not a line of the list: {line!r}")
@@ -236,46 +259,65 @@ def _config_word(word: str) -> str:
     return f"{REFERENCE_WORDS.get(name, name)}{optional}"
 
 
-def _refuses(before: list[str], now: list[str] | None) -> str:
-    """Why calls that were right may now be wrong; empty if they are not."""
+@dataclass
+class _Signature:
+    """Parameters as a line of the list has them.
+
+    Attributes:
+        positional: Name -> whether it may be left out.
+        keywords: Parameters that are keywords only, likewise.
+        any_positional: Whether there is an ``*args``.
+        any_keyword: Whether there is a ``**kwargs``.
+    """
+
+    positional: dict[str, bool]
+    keywords: dict[str, bool]
+    any_positional: bool = False
+    any_keyword: bool = False
+
+    @property
+    def by_name(self) -> dict[str, bool]:
+        """All named parameters."""
+        return self.positional | self.keywords
+
+    @classmethod
+    def read(cls, words: list[str]) -> _Signature:
+        """Read the words between the parentheses of a line."""
+        signature = cls(positional={}, keywords={})
+        parameters = signature.positional
+        for word in words:
+            if word.startswith("**"):
+                signature.any_keyword = True
+            elif word.startswith("*"):
+                signature.any_positional |= word != "*"
+                parameters = signature.keywords
+            else:
+                parameters[word.removesuffix("=")] = word.endswith("=")
+        return signature
+
+
+def _why_refused(before: list[str], now: list[str] | None) -> str:
+    """Return why calls that were right may now be wrong; empty if they are not."""
     if now is None:
         return "is not called any more"
-    positional, keywords, anything = _kinds(now)
-    was_positional, was_keywords, _ = _kinds(before)
-    here = positional | keywords
-    for name, optional in (was_positional | was_keywords).items():
-        if name not in here and "**" not in anything:
+    new = _Signature.read(now)
+    old = _Signature.read(before)
+    for name, is_optional in old.by_name.items():
+        if name not in new.by_name and not new.any_keyword:
             return f"has no parameter {name!r} any more"
-        if optional and not here.get(name, True):
+        if is_optional and not new.by_name.get(name, True):
             return f"needs {name!r} now"
-    new = [n for n, optional in here.items() if n not in was_positional | was_keywords]
-    needed = [n for n in new if not here[n]]
-    if needed:
-        return f"needs {needed[0]!r} now"
-    if "*" not in anything and list(positional)[: len(was_positional)] != list(was_positional):
+    for name, is_optional in new.by_name.items():
+        if name not in old.by_name and not is_optional:
+            return f"needs {name!r} now"
+    first_parameters = list(new.positional)[: len(old.positional)]
+    if not new.any_positional and first_parameters != list(old.positional):
         return "has other positional parameters, or another order"
     return ""
 
 
-def _kinds(words: list[str]) -> tuple[dict[str, bool], dict[str, bool], set[str]]:
-    """Positional and keyword parameters, name -> may be left out; which of ``*`` and ``**``."""
-    positional: dict[str, bool] = {}
-    keywords: dict[str, bool] = {}
-    anything = set()
-    into = positional
-    for word in words:
-        if word.startswith("**"):
-            anything.add("**")
-        elif word.startswith("*"):
-            anything |= {"*"} if word != "*" else set()
-            into = keywords
-        else:
-            into[word.removesuffix("=")] = word.endswith("=")
-    return positional, keywords, anything
-
-
 def announced(changelog: str) -> set[str]:
-    """What is in backticks in the entries of *Removed* and *Changed* that are unreleased."""
+    """Return the words in backticks in the unreleased entries of *Removed* and *Changed*."""
     unreleased = changelog.partition("## [Unreleased]")[2].partition("\n## ")[0]
     parts = re.split(r"^### ", unreleased, flags=re.MULTILINE)
     texts = [part for part in parts if part.startswith(("Removed", "Changed"))]
@@ -283,21 +325,24 @@ def announced(changelog: str) -> set[str]:
 
 
 def unannounced(old: Iterable[str], new: Iterable[str], changelog: str) -> list[str]:
-    """Breaks that the changelog does not name, one sentence each.
+    """Return breaks that the changelog does not name, one sentence each.
 
     An entry names it by all of it (``option run --quiet``), without the first word
     (``run --quiet``), or by its last part (``--quiet``); the key path likewise.
     """
-    said = announced(changelog)
-    return [
-        f"{name} {why}"
-        for name, why in breaks(old, new).items()
-        if not {name, name.split(" ", 1)[1], name.split()[-1], name.rsplit(".", 1)[-1]} & said
-    ]
+    announced_names = announced(changelog)
+    sentences: list[str] = []
+    for name, reason in breaks(old, new).items():
+        without_kind = name.split(" ", 1)[1]
+        last_word = name.split()[-1]
+        last_part = name.rsplit(".", 1)[-1]
+        if announced_names.isdisjoint({name, without_kind, last_word, last_part}):
+            sentences.append(f"{name} {reason}")
+    return sentences
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Writes the list, or checks it."""
+    """Write the list, or check it."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--check", action="store_true", help="compare, and write nothing")
     options = parser.parse_args(arguments)

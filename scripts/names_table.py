@@ -1,23 +1,26 @@
-"""Writes into docs/compatibility.md which of EmbodiChain's public names are here, and what to use.
+"""Write into docs/compatibility.md which of EmbodiChain's public names are here, and what to use.
 
-`python scripts/names_table.py`: `embodichain.compat.names`, between two marks.
+`python scripts/names_table.py` writes the tables of `embodichain.compat.names` between two marks.
 """
 
 from __future__ import annotations
 
 import importlib
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from embodichain.compat.names import reason, upstream_modules, upstream_names
 
 PAGE = Path(__file__).parents[1] / "docs" / "compatibility.md"
-BEGIN, END = "<!-- names: begin -->\n", "<!-- names: end -->\n"
+BEGIN = "<!-- names: begin -->\n"
+END = "<!-- names: end -->\n"
 _ROOT = "embodichain."
 
 
-def _found(module: str, name: str) -> Any:
-    """What the name is here; None if it is refused."""
+def _import_name(module: str, name: str) -> Any:
+    """Return what a name stands for here; None if it is refused."""
     try:
         return getattr(importlib.import_module(module), name)
     except NotImplementedError:
@@ -26,70 +29,73 @@ def _found(module: str, name: str) -> Any:
 
 def tables() -> str:
     """Return two tables: the names that are here by module, and the others by what to use."""
-    here: dict[str, list[str]] = {}
-    missing: dict[str, dict[str, int]] = {}
+    names_here: dict[str, list[str]] = {}  # by module
+    missing: dict[str, Counter[str]] = {}  # reason -> names of each module
     unbuilt: set[str] = set()
-    count = 0
     for module in sorted(upstream_modules()):
         for name in sorted(upstream_names(module)):
-            count += 1
-            found = _found(module, name)
-            if getattr(found, "__module__", "").endswith(".unavailable"):
+            value = _import_name(module, name)
+            if value is None:
+                missing.setdefault(reason(module, name), Counter())[module] += 1
+                continue
+            names_here.setdefault(module, []).append(name)
+            if getattr(value, "__module__", "").endswith(".unavailable"):
                 unbuilt.add(name)
-            if found is not None:
-                here.setdefault(module, []).append(name)
-            else:
-                places = missing.setdefault(reason(module, name), {})
-                places[module] = places.get(module, 0) + 1
-    there = sum(map(len, here.values()))
+    count_here = sum(map(len, names_here.values()))
+    count_missing = sum(counts.total() for counts in missing.values())
+    count = count_here + count_missing
     lines = [
-        f"{there} of {count} are here, under these paths (`embodichain.` left out). Building a",
-        f"{', '.join(f'`{name}`' for name in sorted(unbuilt))} raises `NotImplementedError`.",
+        f"{count_here} of {count} are here, under these paths (`embodichain.` left out). "
+        "Building a",
+        f"{_as_code(sorted(unbuilt))} raises `NotImplementedError`.",
         "",
         "| module | names |",
         "| --- | --- |",
-        *(f"| `{_short(m)}` | {', '.join(f'`{n}`' for n in names)} |" for m, names in here.items()),
+    ]
+    for module, names in names_here.items():
+        lines.append(f"| `{_short(module)}` | {_as_code(names)} |")
+    lines += [
         "",
-        f"The other {count - there} raise `NotImplementedError` when they are imported:",
+        f"The other {count_missing} raise `NotImplementedError` when they are imported:",
         "",
         "| module, and how many of its names | use instead, or why |",
         "| --- | --- |",
-        *(
-            f"| {_places(places)} | {text} |"
-            for text, places in sorted(missing.items(), key=_first)
-        ),
     ]
+    for text, counts in sorted(missing.items(), key=lambda item: min(item[1])):
+        lines.append(f"| {_list_modules(counts)} | {text} |")
     return "\n".join(lines) + "\n"
+
+
+def _as_code(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def _short(module: str) -> str:
     return module.removeprefix(_ROOT)
 
 
-def _first(item: tuple[str, dict[str, int]]) -> str:
-    return min(item[1])
+def _list_modules(counts: Mapping[str, int]) -> str:
+    """List modules with their counts; a package of which all names are missing is one entry."""
+    entries: Counter[str] = Counter()
+    for module, count in counts.items():
+        entries[_largest_missing(module, counts)] += count
+    return ", ".join(f"`{_short(name)}` {count}" for name, count in entries.items())
 
 
-def _places(places: dict[str, int]) -> str:
-    """Modules with counts, those of one package that are all missing as one."""
-    grouped: dict[str, int] = {}
-    for module, count in places.items():
-        parts = module.split(".")
-        whole = next(
-            (
-                ".".join(parts[:depth])
-                for depth in range(2, len(parts) + 1)
-                if _all_missing(".".join(parts[:depth]), places)
-            ),
-            module,
-        )
-        grouped[whole] = grouped.get(whole, 0) + count
-    return ", ".join(f"`{_short(m)}` {count}" for m, count in grouped.items())
+def _largest_missing(module: str, counts: Mapping[str, int]) -> str:
+    """Return the highest package around a module that lacks all names, else the module."""
+    parts = module.split(".")
+    for depth in range(2, len(parts) + 1):
+        package = ".".join(parts[:depth])
+        if _is_all_missing(package, counts):
+            return package
+    return module
 
 
-def _all_missing(package: str, places: dict[str, int]) -> bool:
-    inside = [m for m in upstream_modules() if m == package or m.startswith(f"{package}.")]
-    return all(places.get(m, 0) == len(upstream_names(m)) for m in inside)
+def _is_all_missing(package: str, counts: Mapping[str, int]) -> bool:
+    """Whether all names of a package and of its modules are missing, for the same reason."""
+    modules = [m for m in upstream_modules() if m == package or m.startswith(f"{package}.")]
+    return all(counts.get(m, 0) == len(upstream_names(m)) for m in modules)
 
 
 def filled(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Writes the exact versions that the tests run with, and their licences.
+"""Write the exact versions that the tests run with, and their licences.
 
 Run it with the environment's own python (`make pins`) after changing a dependency. It writes
 constraints.txt, locked.txt and docs/licences.md. All have everything the installed
@@ -49,8 +49,8 @@ LOCK_HEADER = """\
 # constraints.txt for CPython on Linux, macOS and Windows, with the sha256 of every file that may be
 # installed, both builds of torch among them. `make pins` writes it, `scripts/locked.py` installs.
 """
-# What the packages' metadata do not say, from their licence files; and what is not installed on the
-# machine that writes the file.
+# Licences that the metadata of packages lack, from their licence files; and those of packages that
+# are not installed on the machine that writes the file.
 LICENCES = {
     "appnope": "BSD-2-Clause",
     "cuda-bindings": "LicenseRef-NVIDIA-SOFTWARE-LICENSE",
@@ -65,7 +65,7 @@ _ENTRY = re.compile(r"^([a-z0-9-]+)==([^ ;\\]+)(?: ; ([^\\]+?))?(?: \\)?$")
 
 
 def closure(root: Requirement) -> dict[str, str]:
-    """Finds every distribution that `root` needs, without `root` itself.
+    """Find every distribution that `root` needs, without `root` itself.
 
     Args:
         root: The requirement to start from, with its extras.
@@ -76,33 +76,33 @@ def closure(root: Requirement) -> dict[str, str]:
     Raises:
         importlib.metadata.PackageNotFoundError: If a needed distribution is not installed.
     """
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     seen: set[tuple[str, str]] = set()
-    todo = [root]
-    while todo:
-        requirement = todo.pop()
+    unread = [root]
+    while unread:
+        requirement = unread.pop()
         name = canonicalize_name(requirement.name)
-        found[name] = Version(metadata.version(name)).public
+        versions[name] = Version(metadata.version(name)).public
         for extra in {"", *requirement.extras}:
             if (name, extra) not in seen:
                 seen.add((name, extra))
-                todo += _needs(name, extra)
-    del found[canonicalize_name(root.name)]
-    return dict(sorted(found.items()))
+                unread += _requirements_of(name, extra)
+    del versions[canonicalize_name(root.name)]
+    return dict(sorted(versions.items()))
 
 
-def _needs(name: str, extra: str) -> list[Requirement]:
-    """Lists what `name[extra]` asks for on this machine."""
+def _requirements_of(name: str, extra: str) -> list[Requirement]:
+    """Return what `name[extra]` asks for on this machine."""
     environment = {**default_environment(), "extra": extra}
     requirements = map(Requirement, metadata.requires(name) or [])
     return [r for r in requirements if r.marker is None or r.marker.evaluate(environment)]
 
 
 def constraint(name: str, version: str) -> str:
-    """The line of constraints.txt.
+    """Return the line of constraints.txt.
 
-    A version that does not take the oldest Python we take is a constraint of later ones only; the
-    oldest gets what its index has for it.
+    A version that does not support our oldest Python is a constraint of later ones only; for the
+    oldest, pip chooses a version.
     """
     pythons = SpecifierSet(metadata.metadata(name).get("Requires-Python") or "")
     if pythons.contains(LOWEST):
@@ -112,42 +112,45 @@ def constraint(name: str, version: str) -> str:
 
 
 def locked(constraints: str) -> list[Package]:
-    """Resolves for every system, within the constraints.
+    """Resolve the dependencies for every system, within the constraints.
 
     Raises:
-        subprocess.CalledProcessError: uv found no solution; it has said why.
+        subprocess.CalledProcessError: If uv finds no solution; it has printed why.
     """
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras: dict[str, list[str]] = project["optional-dependencies"]
-    everything = [*project["dependencies"], *_expanded(extras, "dev")]
-    entries = _entries(_uv(everything, constraints, "--generate-hashes"))
-    pins = "".join(
-        f"{e.name}=={e.version}{f' ; {e.marker}' if e.marker else ''}\n" for e in entries
-    )
-    wanted = {RUN: project["dependencies"], **{name: _expanded(extras, name) for name in extras}}
-    found = {name: {e.name for e in _entries(_uv(r, pins))} for name, r in wanted.items()}
-    cuda = _cuda(entries, {line.partition("==")[0] for line in constraints.splitlines()})
-    (version,) = (e.version for e in entries if e.name == "torch")
-    torch = [f"sha256:{digest}" for digest in _torch_cpu(version)]
+    everything = [*project["dependencies"], *_expand_extra(extras, "dev")]
+    entries = _read_entries(_resolve(everything, constraints, "--generate-hashes"))
+    names_by_set = _names_by_set(project["dependencies"], extras, entries)
+    pinned_names = {line.partition("==")[0] for line in constraints.splitlines()}
+    cuda = _names_for_cuda(entries, pinned_names)
+    (torch_version,) = (entry.version for entry in entries if entry.name == "torch")
     packages = []
     for entry in entries:
-        names = [RUN] if entry.name in found[RUN] else [n for n in found if entry.name in found[n]]
-        hashes = [*entry.hashes, *(torch if entry.name == "torch" else [])]
-        packages.append(
-            Package(
-                *(entry.name, entry.version, entry.marker),
-                tuple(sorted(hashes)),
-                licence_of(entry.name),
-                (CUDA,) if entry.name in cuda else tuple(sorted(names)),
-                tuple(sorted(set(entry.via))),
-            )
+        hashes = list(entry.hashes)
+        if entry.name == "torch":
+            hashes += [f"sha256:{digest}" for digest in _torch_cpu_digests(torch_version)]
+        sets = [name for name, names in names_by_set.items() if entry.name in names]
+        if entry.name in cuda:
+            sets = [CUDA]
+        elif RUN in sets:
+            sets = [RUN]
+        package = Package(
+            name=entry.name,
+            version=entry.version,
+            marker=entry.marker,
+            hashes=tuple(sorted(hashes)),
+            licence=licence_of(entry.name),
+            sets=tuple(sorted(sets)),
+            via=tuple(sorted(set(entry.via))),
         )
+        packages.append(package)
     return packages
 
 
 @dataclass
 class _Entry:
-    """What uv says of a version."""
+    """A version in the output of uv; attributes as of `Package`."""
 
     name: str
     version: str
@@ -155,66 +158,92 @@ class _Entry:
     hashes: list[str] = field(default_factory=list)
     via: list[str] = field(default_factory=list)
 
+    def pin(self) -> str:
+        """Return the requirement of exactly this version."""
+        marker = f" ; {self.marker}" if self.marker else ""
+        return f"{self.name}=={self.version}{marker}"
 
-def _uv(requirements: list[str], constraints: str, *options: str) -> str:
-    """Resolves for every system; requirements with hashes as uv writes them."""
+
+def _names_by_set(
+    dependencies: list[str], extras: dict[str, list[str]], entries: list[_Entry]
+) -> dict[str, set[str]]:
+    """Return the names of packages that the project needs, and each of its extras.
+
+    Args:
+        dependencies: Requirements of the project.
+        extras: Requirements of its extras.
+        entries: The versions of all of them.
+    """
+    pins = "".join(f"{entry.pin()}\n" for entry in entries)
+    requirements = {RUN: dependencies}
+    for name in extras:
+        requirements[name] = _expand_extra(extras, name)
+    return {
+        name: {entry.name for entry in _read_entries(_resolve(needed, pins))}
+        for name, needed in requirements.items()
+    }
+
+
+def _resolve(requirements: list[str], constraints: str, *options: str) -> str:
+    """Resolve requirements for every system; return them with hashes, as uv writes them."""
     with tempfile.TemporaryDirectory() as folder:
         pins = Path(folder, "constraints.txt")
         pins.write_text(constraints, encoding="utf-8")
+        source = Path(folder, "requirements.in")
+        source.write_text("\n".join(requirements), encoding="utf-8")
         command = [sys.executable, "-m", "uv", "pip", "compile", "--universal", "--quiet"]
         command += ["--python-version", LOWEST, "--no-header", "--no-emit-index-url", *options]
-        asked = Path(folder, "requirements.in")
-        asked.write_text("\n".join(requirements), encoding="utf-8")
-        done = subprocess.run(
-            [*command, "-c", pins, asked], check=True, stdout=subprocess.PIPE, text=True
-        )
-    return done.stdout
+        command += ["-c", str(pins), str(source)]
+        process = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    return process.stdout
 
 
-def _entries(text: str) -> list[_Entry]:
-    """What uv printed, without what only PyPy needs."""
-    found: list[_Entry] = []
+def _read_entries(text: str) -> list[_Entry]:
+    """Read the output of uv; packages that only PyPy needs are left out."""
+    entries: list[_Entry] = []
     for line in text.splitlines():
         if match := _ENTRY.match(line):
-            found.append(_Entry(match[1], match[2], match[3] or ""))
+            entries.append(_Entry(match[1], match[2], match[3] or ""))
         elif "--hash=" in line:
-            found[-1].hashes.append(line.strip(" \\").removeprefix("--hash="))
+            entries[-1].hashes.append(line.strip(" \\").removeprefix("--hash="))
         else:
             parent = line.strip(" #").removeprefix("via").strip()
             if parent and not parent.startswith("-c "):
-                found[-1].via.append(PROJECT if parent.startswith("-r ") else parent)
-    return [entry for entry in found if "implementation_name == 'pypy'" not in entry.marker]
+                entries[-1].via.append(PROJECT if parent.startswith("-r ") else parent)
+    return [entry for entry in entries if "implementation_name == 'pypy'" not in entry.marker]
 
 
-def _cuda(entries: list[_Entry], pinned: set[str]) -> set[str]:
-    """Names of what only torch's CUDA build asks for: nobody else does, and it is not installed."""
-    found: set[str] = set()
-    while (
-        more := {e.name for e in entries if e.via and set(e.via) <= {"torch", *found}}
-        - pinned
-        - found
-    ):
-        found |= more
-    return found
+def _names_for_cuda(entries: list[_Entry], pinned_names: set[str]) -> set[str]:
+    """Return names of packages that only torch's CUDA build asks for, directly or not.
+
+    No other package asks for them, and they are not installed.
+    """
+    names: set[str] = set()
+    while True:
+        more = {e.name for e in entries if e.via and set(e.via) <= {"torch", *names}}
+        more -= pinned_names | names
+        if not more:
+            return names
+        names |= more
 
 
-def _expanded(extras: dict[str, list[str]], extra: str) -> list[str]:
-    """An extra's requirements, with those of the extras it names."""
-    found: list[str] = []
+def _expand_extra(extras: dict[str, list[str]], extra: str) -> list[str]:
+    """Return the requirements of an extra, and of the extras that it names."""
+    requirements: list[str] = []
     for requirement in map(Requirement, extras[extra]):
         if requirement.name == PROJECT:
             for other in sorted(requirement.extras):
-                found += _expanded(extras, other)
+                requirements += _expand_extra(extras, other)
         else:
-            found.append(str(requirement))
-    return list(dict.fromkeys(found))
+            requirements.append(str(requirement))
+    return list(dict.fromkeys(requirements))
 
 
 def licence_of(name: str) -> str:
-    """The licence that a package states: its SPDX expression where it has one, else its own words.
+    """Return the licence that a package states: its SPDX expression if it has one.
 
     Raises:
-        SystemExit: It states none, and `LICENCES` has none.
+        SystemExit: If it states none, and `LICENCES` has none.
     """
     if name in LICENCES:
         return LICENCES[name]
@@ -222,34 +251,47 @@ def licence_of(name: str) -> str:
         return "NVIDIA Proprietary Software"
     about = metadata.metadata(name)
     classifiers = about.get_all("Classifier") or []
-    stated = [c.rpartition(" :: ")[2] for c in classifiers if c.startswith("License :: ")]
-    classes = [c for c in stated if c != "OSI Approved" or len(stated) == 1]
+    classes = [c.rpartition(" :: ")[2] for c in classifiers if c.startswith("License :: ")]
+    if len(classes) > 1:
+        classes = [c for c in classes if c != "OSI Approved"]
     text = (about.get("License") or "").strip().removeprefix("UNKNOWN")
-    short = text if len(text.splitlines()) == 1 else ""  # some have the whole licence there
-    found = about.get("License-Expression") or short or "; ".join(classes)
-    if not found:
+    if len(text.splitlines()) != 1:  # some have the text of the licence there
+        text = ""
+    licence = about.get("License-Expression") or text or "; ".join(classes)
+    if not licence:
         raise SystemExit(f"error: {name} states no licence: read it, and add it to LICENCES")
-    return str(found)
+    return str(licence)
 
 
-def _torch_cpu(version: str) -> list[str]:
-    """Digests of the CPU build.
+def _read_torch_cpu(lines: list[str]) -> dict[str, str]:
+    """Return name -> digest of the files that lines of scripts/torch_cpu.txt list."""
+    pairs = [line.split() for line in lines if line and not line.startswith("#")]
+    return {name: digest for digest, name in pairs}
+
+
+def _is_of_version(file: str, version: str) -> bool:
+    """Whether a file is torch's CPU build of a version."""
+    match = _FILE.fullmatch(file)
+    return match is not None and match[1] == version
+
+
+def _torch_cpu_digests(version: str) -> list[str]:
+    """Return the digests of torch's CPU build.
 
     Raises:
-        SystemExit: There is none of that version.
+        SystemExit: If there is none of that version.
     """
-    lines = TORCH_CPU.read_text(encoding="utf-8").splitlines()
-    pairs = [line.split() for line in lines if line and not line.startswith("#")]
-    found = [d for d, name in pairs if (m := _FILE.fullmatch(name)) and m[1] == version]
-    if not found:
+    files = _read_torch_cpu(TORCH_CPU.read_text(encoding="utf-8").splitlines())
+    digests = [digest for name, digest in files.items() if _is_of_version(name, version)]
+    if not digests:
         raise SystemExit(
             f"error: {TORCH_CPU.name} has no file of torch {version}+cpu: see its first lines"
         )
-    return found
+    return digests
 
 
 def torch_files(place: str) -> dict[str, str]:
-    """Name -> digest of the CPU builds that an index lists, or of one file.
+    """Return name -> digest of the CPU builds that an index lists, or of one file.
 
     Args:
         place: Address or path of the index's page of torch, or path of a wheel.
@@ -262,38 +304,41 @@ def torch_files(place: str) -> dict[str, str]:
     with urllib.request.urlopen(place) as page:
         text = page.read().decode()
     links = re.findall(r'href="[^"]*?([^/"]+\.whl)#sha256=([0-9a-f]{64})"', text)
-    named = {urllib.parse.unquote(name): digest for name, digest in links}
-    return {name: digest for name, digest in named.items() if _FILE.fullmatch(name)}
+    digest_of = {urllib.parse.unquote(name): digest for name, digest in links}
+    return {name: digest for name, digest in digest_of.items() if _FILE.fullmatch(name)}
 
 
-def add_torch_files(file: Path, found: dict[str, str]) -> None:
+def add_torch_files(file: Path, new_files: dict[str, str]) -> None:
     """Put digests of the pinned version into scripts/torch_cpu.txt, and take other versions out.
 
+    Args:
+        file: The list.
+        new_files: Name -> digest.
+
     Raises:
-        SystemExit: None is of the pinned version.
+        SystemExit: If none is of the pinned version.
     """
     version = Version(metadata.version("torch")).public
     lines = file.read_text(encoding="utf-8").splitlines()
-    known = {line.split()[1]: line.split()[0] for line in lines if line and line[0] != "#"}
-    known |= found
-    kept = {n: d for n, d in known.items() if (m := _FILE.fullmatch(n)) and m[1] == version}
-    if not set(kept) & set(found):
+    digest_of = _read_torch_cpu(lines) | new_files
+    names = sorted(name for name in digest_of if _is_of_version(name, version))
+    if not set(names) & set(new_files):
         raise SystemExit(f"error: there is no file of torch {version}+cpu")
     notes = [line for line in lines if line.startswith("#")]
-    files = [f"{digest}  {name}" for name, digest in sorted(kept.items())]
+    files = [f"{digest_of[name]}  {name}" for name in names]
     file.write_text("\n".join([*notes, *files]) + "\n", encoding="utf-8")
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """The command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--torch-cpu", metavar="PLACE", help="an index's page of torch, or a wheel")
     options = parser.parse_args(arguments)
     if options.torch_cpu:
         add_torch_files(TORCH_CPU, torch_files(options.torch_cpu))
         return
-    found = closure(Requirement(f"{PROJECT}[dev]"))
-    pins = "".join(sorted(f"{constraint(name, version)}\n" for name, version in found.items()))
+    versions = closure(Requirement(f"{PROJECT}[dev]"))
+    pins = "".join(sorted(f"{constraint(name, version)}\n" for name, version in versions.items()))
     packages = locked(pins)
     CONSTRAINTS.write_text(HEADER + pins, encoding="utf-8")
     LOCK.write_text(LOCK_HEADER + "".join(p.lines() for p in packages), encoding="utf-8")

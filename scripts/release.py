@@ -1,4 +1,4 @@
-"""Builds what a release consists of, and moves the changelog's entries under its heading.
+"""Build the files of a release, and move the changelog's entries under its heading.
 
 `python scripts/release.py prepare 0.1.0` writes the version into `embodichain/__init__.py` and
 CITATION.cff, and makes a dated section of the changelog's *Unreleased*; commit that, and tag the
@@ -45,24 +45,24 @@ class ReleaseError(Exception):
 
 
 def version_of(root: Path) -> str:
-    """The version in the source.
+    """Read the version in the source.
 
     Raises:
-        ReleaseError: There is none, or several.
+        ReleaseError: If there is none, or several.
     """
-    found: list[str] = _VERSION.findall((root / VERSION_FILE).read_text(encoding="utf-8"))
-    if len(found) != 1:
-        raise ReleaseError(f"{VERSION_FILE}: {len(found)} lines with __version__, not one")
-    return found[0]
+    versions: list[str] = _VERSION.findall((root / VERSION_FILE).read_text(encoding="utf-8"))
+    if len(versions) != 1:
+        raise ReleaseError(f"{VERSION_FILE}: {len(versions)} lines with __version__, not one")
+    return versions[0]
 
 
 def prepare(root: Path, version: str, date: str) -> None:
-    """Writes a version and its dated section.
+    """Write a version and its dated section.
 
     A section of that version that was never tagged is a draft: the entries join it.
 
     Raises:
-        ReleaseError: The version or the date is malformed, the version is tagged already, or
+        ReleaseError: If the version or the date is malformed, the version is tagged already, or
             nothing is unreleased.
     """
     if not _ALLOWED.fullmatch(version):
@@ -89,82 +89,87 @@ def prepare(root: Path, version: str, date: str) -> None:
 
 
 def check(root: Path, tag: str | None = None) -> str | None:
-    """Checks that the commit can be built.
+    """Check that the commit can be built.
 
     Args:
         root: The checkout.
-        tag: The tag that the commit must have; None: any that it has, or none.
+        tag: The tag that the commit must have; None allows any, and none.
 
     Returns:
         The tag, or None if the commit has none.
 
     Raises:
-        ReleaseError: Something is not committed, or tag, version and changelog differ.
+        ReleaseError: If something is not committed, or tag, version and changelog differ.
     """
     dirty = git(root, "status", "--porcelain").splitlines()
     if dirty:
-        more = f" and {len(dirty) - 3} more" if len(dirty) > 3 else ""
         names = ", ".join(line[3:] for line in dirty[:3])
-        raise ReleaseError(f"not committed: {names}{more}")
+        if len(dirty) > 3:
+            names += f" and {len(dirty) - 3} more"
+        raise ReleaseError(f"not committed: {names}")
     tags = [name for name in git(root, "tag", "--points-at", "HEAD").split() if name[0] == "v"]
     if tag is not None and tag not in tags:
-        raise ReleaseError(
-            f"HEAD does not have the tag {tag} (it has: {', '.join(tags) or 'none'})"
-        )
-    found = tag or (tags[0] if tags else None)
-    if found is None:
+        listed_tags = ", ".join(tags) or "none"
+        raise ReleaseError(f"HEAD does not have the tag {tag} (it has: {listed_tags})")
+    if tag is None and tags:
+        tag = tags[0]
+    if tag is None:
         return None
     version = version_of(root)
-    if found != f"v{version}":
-        raise ReleaseError(f"the tag is {found}, {VERSION_FILE} has {version}")
+    if tag != f"v{version}":
+        raise ReleaseError(f"the tag is {tag}, {VERSION_FILE} has {version}")
     if f"\nversion: {version}\n" not in (root / CITATION).read_text(encoding="utf-8"):
         raise ReleaseError(f"{CITATION} does not have version: {version}")
     headings = dict(_HEADING.findall((root / CHANGELOG).read_text(encoding="utf-8")))
     if not headings.get(version):
         raise ReleaseError(f"{CHANGELOG} has no dated heading '## [{version}] - YYYY-MM-DD'")
-    return found
+    return tag
 
 
 def git(root: Path, *arguments: str) -> str:
-    """What git prints."""
+    """Run git, and return what it prints."""
     command = ["git", "-C", str(root), *arguments]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.rstrip("\n")
 
 
 def build(tree: Path, out: Path, epoch: int) -> list[Path]:
-    """Builds a tree of source files: the sdist, the wheel from it, and the bill of materials.
+    """Build a tree of source files: the sdist, the wheel from it, and the bill of materials.
 
     Args:
         tree: The files, as in a checkout; setuptools writes into it.
-        out: Where the distributions are put; replaces those of the same names.
+        out: Folder for the distributions; those of the same names are replaced.
         epoch: Time of all files inside, in seconds since 1970.
 
     Returns:
         sdist, wheel, bill of materials (`scripts/sbom.py`) and SHA256SUMS.
 
     Raises:
-        ReleaseError: A build failed; with its output.
+        ReleaseError: If a build fails; with its output.
     """
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         _run_build("--sdist", tree, work, epoch)
-        (made,) = work.glob("*.tar.gz")
-        sdist = out / made.name
-        sdist.write_bytes(_normalized(made, epoch))
+        (built_sdist,) = work.glob("*.tar.gz")
+        sdist = out / built_sdist.name
+        sdist.write_bytes(_normalize(built_sdist, epoch))
         with tarfile.open(sdist) as archive:
             archive.extractall(work / "source", filter="data")
         (source,) = (work / "source").iterdir()
         _run_build("--wheel", source, work / "wheel", epoch)
-        (made,) = (work / "wheel").glob("*.whl")
-        wheel = out / made.name
-        shutil.move(made, wheel)
+        (built_wheel,) = (work / "wheel").glob("*.whl")
+        wheel = out / built_wheel.name
+        shutil.move(built_wheel, wheel)
     version = version_of(tree)
     bill = out / f"embodichain-{version}.cdx.json"
-    options = [f"--lock={tree / LOCK}", f"--wheel={wheel}", f"--version={version}"]
-    _run(
-        "bill of materials", ["scripts.sbom", *options, f"--epoch={epoch}", f"--out={bill}"], epoch
-    )
+    options = [
+        f"--lock={tree / LOCK}",
+        f"--wheel={wheel}",
+        f"--version={version}",
+        f"--epoch={epoch}",
+        f"--out={bill}",
+    ]
+    _run("bill of materials", ["scripts.sbom", *options], epoch)
     sums = out / SUMS
     files = (wheel, sdist, bill)
     lines = [f"{hashlib.sha256(p.read_bytes()).hexdigest()}  {p.name}" for p in files]
@@ -172,32 +177,38 @@ def build(tree: Path, out: Path, epoch: int) -> list[Path]:
     return [sdist, wheel, bill, sums]
 
 
-def _run_build(what: str, source: Path, out: Path, epoch: int) -> None:
-    _run(what[2:], ["build", "--no-isolation", what, f"--outdir={out}", str(source)], epoch)
+def _run_build(option: str, source: Path, out: Path, epoch: int) -> None:
+    """Build a distribution, ``--sdist`` or ``--wheel``."""
+    module = ["build", "--no-isolation", option, f"--outdir={out}", str(source)]
+    _run(option.removeprefix("--"), module, epoch)
 
 
-def _run(what: str, module: list[str], epoch: int) -> None:
+def _run(title: str, module: list[str], epoch: int) -> None:
     """Run a module in a process of its own.
 
+    Args:
+        title: What it makes, for the message.
+        module: Its name and arguments.
+        epoch: Time of the files that it makes, in seconds since 1970.
+
     Raises:
-        ReleaseError: It failed; with its output.
+        ReleaseError: If it fails; with its output.
     """
-    environment = {**os.environ, "SOURCE_DATE_EPOCH": str(epoch)}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", *module],
         capture_output=True,
         text=True,
-        env=environment,
+        env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch)},
         check=False,
         umask=0o022,
         cwd=ROOT,
     )
-    if done.returncode:
-        raise ReleaseError(f"{what}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
+    if process.returncode:
+        raise ReleaseError(f"{title}: {process.stdout[-2000:]}{process.stderr[-2000:]}")
 
 
-def _normalized(sdist: Path, epoch: int) -> bytes:
-    """An sdist with sorted members, fixed owners and modes, and one time."""
+def _normalize(sdist: Path, epoch: int) -> bytes:
+    """Return an sdist with sorted members, fixed owners and modes, and one time."""
     packed = io.BytesIO()
     with (
         tarfile.open(sdist) as old,
@@ -205,25 +216,30 @@ def _normalized(sdist: Path, epoch: int) -> bytes:
         tarfile.open(fileobj=zipped, mode="w", format=tarfile.PAX_FORMAT) as new,
     ):
         for member in sorted(old.getmembers(), key=lambda member: member.name):
-            member.mtime, member.pax_headers = epoch, {}
-            member.uid = member.gid = 0
-            member.uname = member.gname = ""
-            member.mode = 0o755 if member.isdir() or member.mode & 0o100 else 0o644
-            new.addfile(member, old.extractfile(member) if member.isreg() else None)
+            is_executable = member.isdir() or bool(member.mode & 0o100)
+            member.mode = 0o755 if is_executable else 0o644
+            member.mtime = epoch
+            member.pax_headers = {}
+            member.uid = 0
+            member.gid = 0
+            member.uname = ""
+            member.gname = ""
+            content = old.extractfile(member) if member.isreg() else None
+            new.addfile(member, content)
     return packed.getvalue()
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
-    prepared = verbs.add_parser("prepare", help="write version and changelog")
-    prepared.add_argument("version")
-    prepared.add_argument("--date", default=f"{datetime.now(UTC):%Y-%m-%d}")
-    built = verbs.add_parser("build", help="sdist, wheel, bill of materials, checksums")
-    built.add_argument("--tag", help="the tag that the commit must have")
-    built.add_argument("--out", type=Path, default=ROOT / "dist")
-    for verb in (prepared, built):
+    prepare_parser = verbs.add_parser("prepare", help="write version and changelog")
+    prepare_parser.add_argument("version")
+    prepare_parser.add_argument("--date", default=f"{datetime.now(UTC):%Y-%m-%d}")
+    build_parser = verbs.add_parser("build", help="sdist, wheel, bill of materials, checksums")
+    build_parser.add_argument("--tag", help="the tag that the commit must have")
+    build_parser.add_argument("--out", type=Path, default=ROOT / "dist")
+    for verb in (prepare_parser, build_parser):
         verb.add_argument("--root", type=Path, default=ROOT, help="the checkout")
     options = parser.parse_args(arguments)
     root = options.root
@@ -241,12 +257,13 @@ def main(arguments: list[str] | None = None) -> int:
             )
             with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
                 files.extractall(tree, filter="tar")
-            made = build(tree, options.out.resolve(), int(git(root, "log", "-1", "--format=%ct")))
+            epoch = int(git(root, "log", "-1", "--format=%ct"))
+            paths = build(tree, options.out.resolve(), epoch)
     except ReleaseError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(f"{version_of(root)}, {tag or 'without a tag: not a release'}:")
-    print("\n".join(f"  {path}" for path in made))
+    print("\n".join(f"  {path}" for path in paths))
     return 0
 
 

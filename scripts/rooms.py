@@ -1,4 +1,4 @@
-"""Draws `docs/images/rooms.svg`: the layers that import-linter holds, room by room.
+"""Draw `docs/images/rooms.svg`: the layers that import-linter holds, room by room.
 
 `python scripts/rooms.py` writes the picture; `--check` writes nothing, and its exit code is 1 if
 the picture is another one. A row of a panel may import the rows below it; boxes of one row do not
@@ -32,24 +32,26 @@ _STYLE = """
 
 
 def contracts(root: Path = ROOT) -> dict[str, list[list[str]]]:
-    """Package -> its layers, from the top; each layer is a list of names."""
+    """Return package -> its layers, from the top; each layer is a list of names."""
     config = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
-    layered = [c for c in config["tool"]["importlinter"]["contracts"] if c["type"] == "layers"]
-    return {
-        package: [[name.strip() for name in layer.split("|")] for layer in contract["layers"]]
-        for contract in layered
-        for package in contract["containers"]
-    }
+    layers_of: dict[str, list[list[str]]] = {}
+    for contract in config["tool"]["importlinter"]["contracts"]:
+        if contract["type"] != "layers":
+            continue
+        layers = [[name.strip() for name in layer.split("|")] for layer in contract["layers"]]
+        for package in contract["containers"]:
+            layers_of[package] = layers
+    return layers_of
 
 
 def picture(root: Path = ROOT) -> str:
-    """The picture as SVG."""
+    """Return the picture as SVG: panels in columns, each where there is most room."""
     columns: list[list[str]] = [[] for _ in range(_COLUMNS)]
     heights = [10.0] * _COLUMNS
     for package, layers in contracts(root).items():
         column = heights.index(min(heights))
         left = column * _PANEL + 10.0
-        lines, height = _panel(root, package, layers, left, heights[column])
+        lines, height = _draw_panel(root, package, layers, left=left, top=heights[column])
         columns[column] += lines
         heights[column] += height
     width = _COLUMNS * _PANEL + 10
@@ -61,25 +63,25 @@ def picture(root: Path = ROOT) -> str:
         '  <marker id="tip" markerWidth="8" markerHeight="8" refX="5" refY="4" orient="auto">'
         '<path d="M0 0L8 4L0 8Z" style="fill: #546e7a; stroke: none"/></marker>',
         f'  <rect width="{width}" height="{height}" style="fill: white; stroke: none"/>',
-        *(line for column in columns for line in column),
-        "</svg>",
     ]
+    for column_lines in columns:
+        lines += column_lines
+    lines.append("</svg>")
     return "\n".join(lines) + "\n"
 
 
-def _panel(
-    root: Path, package: str, layers: list[list[str]], left: float, top: float
+def _draw_panel(
+    root: Path, package: str, layers: list[list[str]], *, left: float, top: float
 ) -> tuple[list[str], float]:
-    """Title, boxes and arrows of one package, and their height in pixels."""
+    """Return title, boxes and arrows of one package, and their height in pixels."""
     title = package.removeprefix("embodichain.")
     lines = [f'  <text x="{left:.0f}" y="{top + 12:.0f}" class="title">{escape(title)}</text>']
     folder = root / package.replace(".", "/")
     middle = left + (_PANEL - 20) / 2
     y = top + 20
     for number, names in enumerate(layers):
-        rows = _rows(names)
-        for row in rows:
-            lines += _boxes(folder, row, middle, y)
+        for row in _split_into_rows(names):
+            lines += _draw_boxes(folder, row, middle, y)
             y += _BOX + _GAP
         bottom = y - _GAP
         y = bottom + _STEP - _BOX
@@ -89,8 +91,8 @@ def _panel(
     return lines, y + 10 - top
 
 
-def _rows(names: list[str]) -> list[list[str]]:
-    """The names of a layer in rows that fit into a panel."""
+def _split_into_rows(names: list[str]) -> list[list[str]]:
+    """Return the names of a layer in rows that fit into a panel."""
     rows: list[list[str]] = [[]]
     for name in names:
         if rows[-1] and sum(map(_width, [*rows[-1], name])) > _PANEL - 20:
@@ -104,8 +106,8 @@ def _width(name: str) -> float:
     return len(name) * _CHARACTER + 12 + _GAP
 
 
-def _boxes(folder: Path, names: list[str], middle: float, y: float) -> list[str]:
-    """A row of boxes, centred."""
+def _draw_boxes(folder: Path, names: list[str], middle: float, y: float) -> list[str]:
+    """Return a row of boxes, centred."""
     lines = []
     x = middle - (sum(map(_width, names)) - _GAP) / 2
     for name in names:
@@ -120,7 +122,7 @@ def _boxes(folder: Path, names: list[str], middle: float, y: float) -> list[str]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Writes the picture, or compares it."""
+    """Write the picture, or compare it."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--check", action="store_true", help="compare, and write nothing")
     options = parser.parse_args(arguments)

@@ -1,9 +1,9 @@
-"""Writes a release's bill of materials: CycloneDX 1.6, JSON, from locked.txt.
+"""Write a release's bill of materials: CycloneDX 1.6, JSON, from locked.txt.
 
 `make dist` puts it beside the wheel. It lists the versions that the tests ran with of everything a
-user may install: the dependencies, those of each extra, and what torch's CUDA build needs, each
-with its licence, the sha256 of its files, and who needs it. The packages of development are not
-listed. The same commit gives the same bytes.
+user may install: the dependencies, those of each extra, and those of torch's CUDA build, each with
+its licence, the sha256 of its files, and the packages that need it. The packages of development are
+not listed. The same commit gives the same bytes.
 """
 
 import argparse
@@ -39,7 +39,7 @@ _NAMESPACE = uuid.UUID("8f5c3f0e-6b0e-4f43-9b7b-3d3d9a9a2f51")  # drawn once, fo
 
 
 def bill(packages: list[Package], wheel: Path, version: str, epoch: int) -> str:
-    """The document, which is valid by its schema.
+    """Return the document, which is valid by its schema.
 
     Args:
         packages: All that is locked.
@@ -48,13 +48,15 @@ def bill(packages: list[Package], wheel: Path, version: str, epoch: int) -> str:
         epoch: Its time, in seconds since 1970.
 
     Raises:
-        ValueError: The schema does not take it; with the first reason.
+        ValueError: If the schema does not allow it; with the first reason.
     """
     listed = released(packages)
     digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
     licences = LicenseFactory()
     root = Component(
-        **{"name": PROJECT, "version": version, "type": ComponentType.LIBRARY},
+        name=PROJECT,
+        version=version,
+        type=ComponentType.LIBRARY,
         bom_ref=f"pkg:pypi/{PROJECT}@{version}",
         purl=PackageURL("pypi", name=PROJECT, version=version),
         licenses=[licences.make_from_string("MIT")],
@@ -63,10 +65,14 @@ def bill(packages: list[Package], wheel: Path, version: str, epoch: int) -> str:
     bom = Bom(serial_number=uuid.uuid5(_NAMESPACE, digest))
     bom.metadata.component = root
     bom.metadata.timestamp = datetime.fromtimestamp(epoch, UTC)
-    components = {p: _component(p, licences) for p in listed}
-    bom.components.update(components.values())
-    for parent, component in [(PROJECT, root), *((p.name, c) for p, c in components.items())]:
-        bom.register_dependency(component, [c for p, c in components.items() if parent in p.via])
+    # A package may be listed twice, with versions for different systems.
+    component_of = {package: _component(package, licences) for package in listed}
+    bom.components.update(component_of.values())
+    parents = [(PROJECT, root)]
+    parents += [(package.name, component) for package, component in component_of.items()]
+    for name, parent in parents:
+        needed = [child for package, child in component_of.items() if name in package.via]
+        bom.register_dependency(parent, needed)
     text = make_outputter(bom, OutputFormat.JSON, SCHEMA).output_as_string(indent=1)
     error = JsonStrictValidator(SCHEMA).validate_str(text)
     if error is not None:
@@ -79,7 +85,7 @@ def _sha256(digest: str) -> HashType:
 
 
 def _component(package: Package, licences: LicenseFactory) -> Component:
-    """A package; the address of its files is the index's that the reader uses."""
+    """Return the component of a package; its files are at the index that the reader uses."""
     purl = PackageURL("pypi", name=package.name, version=package.version)
     properties = [Property(name=f"{PROJECT}:extra", value=n) for n in extras_of(package)]
     if package.marker:
@@ -90,11 +96,16 @@ def _component(package: Package, licences: LicenseFactory) -> Component:
         url=XsUri(purl.to_string()),
         hashes=[_sha256(digest) for digest in digests],
     )
+    scope = ComponentScope.OPTIONAL
+    if RUN in package.sets:
+        scope = ComponentScope.REQUIRED
     return Component(
-        **{"name": package.name, "version": package.version, "type": ComponentType.LIBRARY},
+        name=package.name,
+        version=package.version,
+        type=ComponentType.LIBRARY,
         bom_ref=purl.to_string(),
         purl=purl,
-        scope=ComponentScope.REQUIRED if RUN in package.sets else ComponentScope.OPTIONAL,
+        scope=scope,
         licenses=[licences.make_from_string(package.licence)],
         external_references=[files],
         properties=properties,
@@ -102,7 +113,7 @@ def _component(package: Package, licences: LicenseFactory) -> Component:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command line; `scripts/release.py` calls it."""
+    """Run the command line; `scripts/release.py` calls it."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--lock", type=Path, required=True)
     parser.add_argument("--wheel", type=Path, required=True)

@@ -1,9 +1,9 @@
-"""Tries a built wheel as a user gets it: alone with its dependencies, away from the checkout.
+"""Try a built wheel as a user gets it: alone with its dependencies, away from the checkout.
 
 `python scripts/smoke.py dist/embodichain-*.whl` makes a virtual environment for every interpreter
-of 3.11 to 3.13 that it finds (``python3.X`` on the PATH, or of pyenv), installs the wheel and what
-it needs, and runs what a new user runs: see `STEPS`. Interpreters that are not found are named as
-untried. The exit code is 1 if a step failed, 2 if no interpreter was found.
+of 3.11 to 3.13 that it finds (``python3.X`` on the PATH, or of pyenv), installs the wheel and its
+dependencies, and runs the commands of a new user, `STEPS`. Interpreters that are not found are
+named as untried. The exit code is 1 if a step failed, 2 if no interpreter was found.
 
 Dependencies are those of locked.txt, compared with their hashes, then the wheel without
 dependencies, which must not miss one (``--no-pins``: the wheel, and what pip chooses).
@@ -38,21 +38,23 @@ STEPS: dict[str, list[str]] = {
 }
 """Name -> command. The first word is a program of the environment; the tutorial is copied there."""
 _STEP_SECONDS = 600
-_OURS = ("PYTHON", "COV", "PYTEST", "VIRTUAL_ENV")
-"""Beginnings of variables that lead a process to another environment."""
-_SAID = 2000  # characters of a failed step's output that are kept
+"""Time after which a step has failed."""
+_OF_THIS_ENVIRONMENT = ("PYTHON", "COV", "PYTEST", "VIRTUAL_ENV")
+"""Beginnings of variables that lead a process to this environment instead of the new one."""
+_SHOWN_CHARACTERS = 2000
+"""Characters of a failed step's output, from its end, that a result has."""
 
 
 @dataclass
 class Outcome:
-    """What one environment did.
+    """Results of the steps in one environment.
 
     Attributes:
         interpreter: Its version, such as ``3.11.7``.
-        packages: Versions of what decides most: torch, mujoco, numpy.
+        packages: Versions of the packages that matter most.
         passed: Names of the steps that worked, in their order.
         failed: Name of the first step that did not, or empty; later ones are not run.
-        said: The end of what it printed.
+        said: The end of the output of that step.
         seconds: Time of all steps, without the installation.
     """
 
@@ -65,9 +67,9 @@ class Outcome:
 
 
 def interpreters(versions: Sequence[str] = VERSIONS) -> Iterator[tuple[str, Path | None]]:
-    """Finds an interpreter that can make environments, for each version.
+    """Find an interpreter that can make environments, for each version.
 
-    A name on the PATH is tried, not trusted: pyenv has one for versions that do not run.
+    Interpreters are run once: pyenv puts names of versions on the PATH that do not run.
 
     Yields:
         The version, and the interpreter's path, or None if there is none.
@@ -75,19 +77,25 @@ def interpreters(versions: Sequence[str] = VERSIONS) -> Iterator[tuple[str, Path
     homes = sorted(Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/*"))
     for version in versions:
         name = f"python{version}"
-        found = [shutil.which(name), sys.executable, *(home / "bin" / name for home in homes)]
-        tried = (Path(path) for path in found if path and Path(path).is_file())
-        yield version, next((path for path in tried if _is(path, version)), None)
+        candidates: list[Path] = []
+        on_path = shutil.which(name)
+        if on_path is not None:
+            candidates.append(Path(on_path))
+        candidates.append(Path(sys.executable))
+        candidates += [home / "bin" / name for home in homes]
+        working = (path for path in candidates if path.is_file() and _is_version(path, version))
+        yield version, next(working, None)
 
 
-def _is(python: Path, version: str) -> bool:
+def _is_version(python: Path, version: str) -> bool:
+    """Whether an interpreter runs, can make environments, and has a version."""
     code = "import ensurepip, sys, venv; print('%d.%d' % sys.version_info[:2])"
-    done = subprocess.run([python, "-c", code], capture_output=True, text=True, check=False)
-    return done.returncode == 0 and done.stdout.strip() == version
+    process = subprocess.run([python, "-c", code], capture_output=True, text=True, check=False)
+    return process.returncode == 0 and process.stdout.strip() == version
 
 
-def installed(python: Path, wheel: Path, place: Path, *, locked: bool) -> Path:
-    """Makes an environment with a wheel and what it needs.
+def install(python: Path, wheel: Path, place: Path, *, locked: bool) -> None:
+    """Make an environment with a wheel and its dependencies.
 
     Args:
         python: The interpreter.
@@ -100,32 +108,36 @@ def installed(python: Path, wheel: Path, place: Path, *, locked: bool) -> Path:
         subprocess.CalledProcessError: If something could not be installed, or is missing.
     """
     subprocess.run([python, "-m", "venv", place], check=True)
-    own = place / "bin" / "python"
-    pip = [own, "-m", "pip", "--disable-pip-version-check"]
-    add = [*pip, "install", "-q", "--no-compile"]
+    env_python = place / "bin" / "python"
+    pip = [env_python, "-m", "pip", "--disable-pip-version-check"]
+    pip_install = [*pip, "install", "-q", "--no-compile"]
     if locked:
-        subprocess.run([own, ROOT / "scripts" / "locked.py", "install"], check=True)
-        subprocess.run([*add, "--no-deps", wheel], check=True)
+        subprocess.run([env_python, ROOT / "scripts" / "locked.py", "install"], check=True)
+        subprocess.run([*pip_install, "--no-deps", wheel], check=True)
         subprocess.run([*pip, "check"], check=True)
-        return place
-    for what in ("torch", wheel):
-        subprocess.run([*add, what], check=True)
-    return place
+        return
+    subprocess.run([*pip_install, "torch"], check=True)
+    subprocess.run([*pip_install, wheel], check=True)
 
 
-def tried(place: Path, steps: dict[str, list[str]] | None = None) -> Outcome:
-    """Runs the steps in an environment, in an empty folder, until one fails."""
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(_OURS)}
-    outcome = Outcome(_said([place / "bin" / "python", "-c", _VERSION], clean))
-    outcome.packages = json.loads(_said([place / "bin" / "python", "-c", _PACKAGES], clean))
-    began = time.monotonic()
+def run_steps(place: Path, steps: dict[str, list[str]] | None = None) -> Outcome:
+    """Run the steps in an environment, in an empty folder, until one fails."""
+    variables = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(_OF_THIS_ENVIRONMENT)
+    }
+    python = place / "bin" / "python"
+    outcome = Outcome(_output_of([python, "-c", _VERSION], variables))
+    outcome.packages = json.loads(_output_of([python, "-c", _PACKAGES], variables))
+    started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         shutil.copy(TUTORIAL, folder)
         for name, (program, *arguments) in (steps or STEPS).items():
-            done = subprocess.run(
+            process = subprocess.run(
                 [place / "bin" / program, *arguments],
                 cwd=folder,
-                env=clean,
+                env=variables,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -133,11 +145,12 @@ def tried(place: Path, steps: dict[str, list[str]] | None = None) -> Outcome:
                 timeout=_STEP_SECONDS,
                 check=False,
             )
-            if done.returncode:
-                outcome.failed, outcome.said = name, done.stdout[-_SAID:]
+            if process.returncode:
+                outcome.failed = name
+                outcome.said = process.stdout[-_SHOWN_CHARACTERS:]
                 break
             outcome.passed.append(name)
-    outcome.seconds = round(time.monotonic() - began, 1)
+    outcome.seconds = round(time.monotonic() - started, 1)
     return outcome
 
 
@@ -148,13 +161,14 @@ print(json.dumps({n: m.version(n) for n in ("torch", "mujoco", "numpy", "hydra-c
 """
 
 
-def _said(command: list[str | Path], environment: dict[str, str]) -> str:
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
-    return done.stdout.strip()
+def _output_of(command: list[str | Path], variables: dict[str, str]) -> str:
+    """Run a command, and return what it prints."""
+    process = subprocess.run(command, check=True, capture_output=True, text=True, env=variables)
+    return process.stdout.strip()
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Tries the wheel; prints a line for each environment, or JSON."""
+    """Try the wheel; print a line for each environment, or JSON."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("wheel", type=Path, nargs="?", help="the wheel; not with --installed")
     parser.add_argument("--python", action="append", default=[], metavar="3.X", help="only these")
@@ -164,9 +178,10 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if (options.wheel is None) == (options.installed is None):
         parser.error("give a wheel, or --installed DIR")
-    outcomes, missing = [], []
+    outcomes: list[Outcome] = []
+    missing: list[str] = []
     if options.installed:
-        outcomes.append(tried(options.installed.resolve()))
+        outcomes.append(run_steps(options.installed.resolve()))
     else:
         for version, python in interpreters(options.python or VERSIONS):
             if python is None:
@@ -175,19 +190,24 @@ def main(arguments: list[str] | None = None) -> int:
             with tempfile.TemporaryDirectory(prefix="smoke-") as folder:
                 print(f"Python {version}: {python}", file=sys.stderr, flush=True)
                 place = Path(folder, "env")
-                installed(python, options.wheel.resolve(), place, locked=not options.no_pins)
-                outcomes.append(tried(place))
+                install(python, options.wheel.resolve(), place, locked=not options.no_pins)
+                outcomes.append(run_steps(place))
     if options.json:
-        print(json.dumps({"tried": [asdict(o) for o in outcomes], "not found": missing}, indent=1))
+        report = {"tried": [asdict(outcome) for outcome in outcomes], "not found": missing}
+        print(json.dumps(report, indent=1))
     else:
-        _print(outcomes, missing)
-    return 2 if not outcomes else int(any(outcome.failed for outcome in outcomes))
+        _print_table(outcomes, missing)
+    if not outcomes:
+        return 2
+    return int(any(outcome.failed for outcome in outcomes))
 
 
-def _print(outcomes: list[Outcome], missing: list[str]) -> None:
+def _print_table(outcomes: list[Outcome], missing: list[str]) -> None:
     for outcome in outcomes:
         packages = ", ".join(f"{name} {version}" for name, version in outcome.packages.items())
-        result = f"FAILED: {outcome.failed}" if outcome.failed else "ok"
+        result = "ok"
+        if outcome.failed:
+            result = f"FAILED: {outcome.failed}"
         print(f"Python {outcome.interpreter} ({packages}): {result} in {outcome.seconds} s")
         print(f"  passed: {', '.join(outcome.passed)}")
         if outcome.failed:

@@ -1,8 +1,8 @@
-"""Lists the public names of a release of EmbodiChain: `embodichain/compat/upstream_names.json`.
+"""List the public names of a release of EmbodiChain: `embodichain/compat/upstream_names.json`.
 
-`python scripts/upstream_names.py CHECKOUT`: reads the syntax of every module below
-`CHECKOUT/embodichain`, runs nothing of it, and keeps names only. A module has what it defines at
-its top level; a package also what it imports from its own modules.
+`python scripts/upstream_names.py CHECKOUT` parses every module below `CHECKOUT/embodichain`, and
+runs none. The names of a module are those that it defines at its top level; a package also has
+those that it imports from its own modules.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from pathlib import Path
 
 OUT = Path(__file__).parents[1] / "embodichain" / "compat" / "upstream_names.json"
 ROOT = "embodichain"
-_NO_API = ("all", "logger")  # a misspelt `__all__`, and each module's own logger
+_NO_API = ("all", "logger")
+"""Names of no use to others: a misspelt `__all__`, and the logger of each module."""
 
 
 class Modules:
@@ -23,16 +24,19 @@ class Modules:
     def __init__(self, checkout: Path) -> None:
         self.trees: dict[str, ast.Module] = {}
         self.packages: set[str] = set()
-        self._known: dict[str, set[str]] = {}
+        self._names: dict[str, set[str]] = {}
         for file in sorted((checkout / ROOT).rglob("*.py")):
-            parts = file.relative_to(checkout).with_suffix("").parts
-            if parts[-1] in ("__main__", "conf"):
+            if file.stem in ("__main__", "conf"):
                 continue
-            name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-            if parts[-1] == "__init__":
+            path = file.relative_to(checkout).with_suffix("")
+            if file.stem == "__init__":
+                path = path.parent
+            name = ".".join(path.parts)
+            if file.stem == "__init__":
                 self.packages.add(name)
             self.trees[name] = ast.parse(file.read_text(encoding="utf-8"))
-        for name in list(self.trees):  # folders without an `__init__.py`
+        # Folders without an `__init__.py` are packages too.
+        for name in list(self.trees):
             parents = name.split(".")[:-1]
             for count in range(1, len(parents) + 1):
                 parent = ".".join(parents[:count])
@@ -41,50 +45,55 @@ class Modules:
 
     def names(self, module: str) -> set[str]:
         """Public names that a module defines, and a package imports from its own modules."""
-        if module not in self._known:
-            self._known[module] = set()  # of a circle of imports, what is known so far
-            tree = self.trees.get(module, ast.parse(""))
-            found = {name for node in tree.body for name in _defined(node)}
-            if module in self.packages:
-                found |= {
-                    name
-                    for node in tree.body
-                    if isinstance(node, ast.ImportFrom)
-                    for name in self._imported(module, node)
-                }
-            self._known[module] = {n for n in found if not n.startswith("_") and len(n) > 1}
-        modules = {name for name in self._known[module] if f"{module}.{name}" in self.trees}
-        return self._known[module] - modules - set(_NO_API)
+        if module not in self._names:
+            # Where imports go in a circle, a module has the names that were read so far.
+            self._names[module] = set()
+            names = self._read_names(module)
+            self._names[module] = {n for n in names if not n.startswith("_") and len(n) > 1}
+        modules = {name for name in self._names[module] if f"{module}.{name}" in self.trees}
+        return self._names[module] - modules - set(_NO_API)
 
-    def _imported(self, package: str, node: ast.ImportFrom) -> set[str]:
+    def _read_names(self, module: str) -> set[str]:
+        """Names at the top level of a module, private ones included."""
+        names: set[str] = set()
+        for node in self.trees.get(module, ast.parse("")).body:
+            names.update(_defined_names(node))
+            if module in self.packages and isinstance(node, ast.ImportFrom):
+                names |= self._imported_names(module, node)
+        return names
+
+    def _imported_names(self, package: str, node: ast.ImportFrom) -> set[str]:
+        """Names that a package imports from modules of EmbodiChain; modules are left out."""
         parts = package.split(".")
-        base = parts[: len(parts) - node.level + 1] if node.level else []
+        base: list[str] = []
+        if node.level:
+            base = parts[: len(parts) - node.level + 1]
         source = ".".join([*base, *(node.module or "").split(".")]).strip(".")
         if source.split(".")[0] != ROOT:
             return set()
         names = {alias.asname or alias.name for alias in node.names}
         if "*" not in names:
             return {n for n in names if f"{source}.{n}" not in self.trees}
-        listed = _listed(self.trees.get(source, ast.parse("")))
-        return self.names(source) if listed is None else listed
+        exported = _exported_names(self.trees.get(source, ast.parse("")))
+        return self.names(source) if exported is None else exported
 
 
-def _defined(node: ast.stmt) -> list[str]:
+def _defined_names(node: ast.stmt) -> list[str]:
+    """Names that a statement defines."""
     if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
         return [node.name]
-    targets = (
-        node.targets
-        if isinstance(node, ast.Assign)
-        else [node.target]
-        if isinstance(node, ast.AnnAssign)
-        else []
-    )
+    targets: list[ast.expr] = []
+    if isinstance(node, ast.Assign):
+        targets = node.targets
+    elif isinstance(node, ast.AnnAssign):
+        targets = [node.target]
     return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
-def _listed(tree: ast.Module) -> set[str] | None:
+def _exported_names(tree: ast.Module) -> set[str] | None:
+    """The names in ``__all__``; None if a module has none that can be read."""
     for node in tree.body:
-        if "__all__" in _defined(node) and isinstance(node, ast.Assign):
+        if "__all__" in _defined_names(node) and isinstance(node, ast.Assign):
             try:
                 return set(ast.literal_eval(node.value))
             except ValueError:

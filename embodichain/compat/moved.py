@@ -26,6 +26,7 @@ _TABLE: Final = {
     "lab.gym.envs.context": "lab.gym.envs.managers.context",
     "lab.gym.envs.episodes": "lab.gym.envs.step.episodes",
     "lab.gym.envs.managers.aliases": "lab.gym.envs.managers.terms.aliases",
+    "lab.gym.envs.managers.drawing": "lab.gym.envs.managers.random_managers",
     "lab.gym.envs.managers.per_name": "lab.gym.envs.managers.terms.per_name",
     "lab.gym.envs.managers.registry": "lab.gym.envs.managers.terms.registry",
     "lab.gym.envs.snapshot": "lab.gym.envs.restoring.snapshot",

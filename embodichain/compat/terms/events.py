@@ -47,7 +47,7 @@ Count = Annotated[int, Field(ge=1)]
 
 def _initial_quats(env: TermContext, asset: Any) -> Floats:
     """(N, 4) initial orientation."""
-    quat0 = np.asarray(asset.entity.quat0, np.float64)
+    quat0 = np.asarray(asset.index.quat0, np.float64)
     quats: Floats = env.arrays.put(np.tile(quat0, (env.num_envs, 1)))
     return quats
 
@@ -93,7 +93,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
             robot_cfg = env.scene_entity(reference)
         env.arrays.require_host("searches for joint positions")
         self._arm = arm_solver(robot_cfg, "robot_cfg")
-        self._robot = robot_cfg.asset
+        self._robot = robot_cfg.articulation
         self._asset = entity_cfg.asset
         box = np.array(position_bounds, np.float64)
         if reference_height is not None:
@@ -263,7 +263,7 @@ class RandomizeAnchorHeight(Term):
         if self._candidates is not None:
             height = rows_at(self._candidates, height.astype(np.int64))
         pos = self._anchor.read_pose()[0][where].copy()
-        pos[:, 2] = float(self._anchor.entity.pos0[2]) + height
+        pos[:, 2] = float(self._anchor.index.pos0[2]) + height
         self._anchor.write_pose(above_ground(self._ground, pos, env_ids), None, env_ids)
         for handle in self._carried:
             pos = handle.read_pose()[0][where].copy()

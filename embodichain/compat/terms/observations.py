@@ -196,7 +196,7 @@ def get_articulation_joint_drive(
         ``{func: get_articulation_joint_drive, params: {of: {uid: ur10}, gains:
         [damping]}}``
     """
-    drives = entity_cfg.asset.drives
+    drives = entity_cfg.articulation.drives
     joint_ids = list(entity_cfg.joint_ids)
     columns = [getattr(drives, name)[:, joint_ids] for name in gains]
     return np.minimum(np.concatenate(columns, axis=1), _NO_LIMIT)
@@ -241,8 +241,9 @@ class NormalizeRobotJointData(Term):
         joints = joints_of(env, joint_ids=[active[column] for column in self._columns])
         self._ids = np.asarray(joints.joint_ids, np.int64)
         # Position limits may change while the task runs; the others are the file's.
-        self._drives = joints.asset.drives if limit == "qpos_limits" else None
-        limits: Floats = np.asarray(getattr(joints.asset.parsed, limit), np.float64)[self._ids]
+        articulation = joints.articulation
+        self._drives = articulation.drives if limit == "qpos_limits" else None
+        limits: Floats = np.asarray(getattr(articulation.parsed, limit), np.float64)[self._ids]
         if self._drives is None:  # 0 in a file means that no velocity or effort limit is given
             limits = np.stack([-limits, np.where(limits > 0, limits, np.inf)], axis=1)
         self._limits = limits

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from embodichain.lab.gym.expert.arms import Arm, arms_of
+from embodichain.lab.gym.expert.arms import ControlledArm, arms_of
 from embodichain.recording.demos.segments import (
     Source,
     read_sources,
@@ -200,7 +200,7 @@ class _Player:
 
     def __init__(self, env: BaseEnv, path: str, most: int, nearest: int) -> None:
         self.env = env
-        self._arms: list[Arm] = [arm for _, arm in arms_of(env)]
+        self._arms: list[ControlledArm] = [arm for _, arm in arms_of(env)]
         if not self._arms:
             raise ConfigError("augmentation needs a task with an action that moves a tool")
         self._target_names, self._target_poses = target_poses(env)

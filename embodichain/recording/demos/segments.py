@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.expert.arms import Arm, arms_of
+from embodichain.lab.gym.expert.arms import ControlledArm, arms_of
 from embodichain.lab.gym.expert.targets import WORLD, TargetPoses
 from embodichain.recording.demos.collection import is_collection, read_collection
 from embodichain.recording.demos.reenactment import Reenactment
@@ -97,7 +97,7 @@ def read_targets(names: Sequence[str], poses: TargetPoses) -> F64:
     return np.array([np.concatenate(poses(name), axis=1) for name in names])
 
 
-def read_tools(arms: Sequence[Arm]) -> F64:
+def read_tools(arms: Sequence[ControlledArm]) -> F64:
     """(arms, N, 7) poses of the tools."""
     poses = [arm.term.solver.forward(arm.asset.read_qpos()) for arm in arms]
     return np.array([np.concatenate(pos_and_quat, axis=1) for pos_and_quat in poses])
@@ -182,7 +182,7 @@ class _Sample(NamedTuple):
 
 def _read(
     play: Reenactment,
-    arms: Sequence[Arm],
+    arms: Sequence[ControlledArm],
     names: Sequence[str],
     poses: TargetPoses,
     episode_steps: Mapping[tuple[int, int], range],
@@ -203,7 +203,7 @@ def _read(
         targets = read_targets(names, poses)
 
 
-def _source(samples: Sequence[_Sample], arms: Sequence[Arm]) -> Source:
+def _source(samples: Sequence[_Sample], arms: Sequence[ControlledArm]) -> Source:
     actions = np.array([sample.action for sample in samples])
     tools = np.moveaxis(np.array([sample.tools for sample in samples]), 1, 0)
     targets = np.moveaxis(np.array([sample.targets for sample in samples]), 1, 0)
@@ -228,7 +228,7 @@ def _is_held(segment: Segment, hold: Segment) -> bool:
     return overlap and segment.target == hold.target
 
 
-def _closed(arm: Arm, actions: F64) -> NDArray[np.bool_]:
+def _closed(arm: ControlledArm, actions: F64) -> NDArray[np.bool_]:
     """(T,) whether the gripper of an arm is commanded to close."""
     if arm.gripper is None:
         return np.zeros(len(actions), np.bool_)

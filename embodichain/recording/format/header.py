@@ -281,8 +281,8 @@ class Header:
         """Which episodes `record.every` left out; empty if none."""
         if self.every <= 1:
             return ""
-        lead = next(iter(self.view_envs), 0)
-        return f"only one in {self.every} episodes of environment {lead} is in the log"
+        counted_env = next(iter(self.view_envs), 0)
+        return f"only one in {self.every} episodes of environment {counted_env} is in the log"
 
     def part_note(self, alone: str) -> str:
         """Which part of a log a file is; empty for a whole log.

@@ -9,23 +9,23 @@ __all__ = ["EpisodeGate"]
 
 
 class EpisodeGate:
-    """Open during every k-th episode of the leading environment, beginning with the first.
+    """Open during every k-th episode of one environment, beginning with the first.
 
     A reset opens the gate, and the reset's events belong to the new episode. So the events of a
     step are deferred until it is known whether they are recorded.
 
     Args:
         every: k; 1 keeps the gate open.
-        lead: The leading environment.
+        counted_env: The environment whose episodes are counted.
 
     Attributes:
         open: Whether calls are currently recorded.
         in_step: Whether physics of the current control step has begun.
     """
 
-    def __init__(self, every: int, lead: int) -> None:
+    def __init__(self, every: int, counted_env: int) -> None:
         self._every = every
-        self._lead = lead
+        self._counted_env = counted_env
         self.open = True
         self.in_step = False
         self._episodes = 0
@@ -42,8 +42,8 @@ class EpisodeGate:
         self._deferred.append(event)
 
     def on_reset(self, env_ids: EnvIds) -> list[EventRecord] | None:
-        """Count an episode if the leading environment was reset; outside a step, call `switch`."""
-        if (env_ids == self._lead).any():
+        """Count an episode if the counted environment was reset; outside a step, call `switch`."""
+        if (env_ids == self._counted_env).any():
             self._episodes += self._steps > 0  # an episode without steps does not count
             self._steps = 0
         if self.in_step:

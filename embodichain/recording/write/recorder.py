@@ -174,7 +174,7 @@ class McapRecorder(StepObserver):
             period_ns=header.period_ns,
             step=0 if place is None else place.step,
         )
-        self._gate = EpisodeGate(options.every, lead=next(iter(options.view_envs), 0))
+        self._gate = EpisodeGate(options.every, counted_env=next(iter(options.view_envs), 0))
         self._encoder = CallEncoder(engine, Moved(header.moved), hashes=header.keyframe_every > 0)
         self._buffer = StepBuffer()
         self._starts = _StartSchedule(header.keyframe_every)

@@ -34,9 +34,9 @@ from embodichain.lab.gym.envs.managers.action_manager import (
     is_passive,
     no_action,
 )
-from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+from embodichain.lab.gym.envs.managers.random_managers import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity, resolve_entity
 from embodichain.lab.gym.envs.managers.value_managers import (
     MetricManager,
@@ -603,8 +603,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         if judge.takes_obs:
             judged_obs = self._step_observation.to_judge(kwargs, stepped)
         self.command_manager.measure(stepped)
-        info, outcome = judge.info(judged_obs, action, kwargs)
-        reward = judge.reward(judged_obs, action, info)
+        info, outcome = judge.compute_info(judged_obs, action, kwargs)
+        reward = judge.compute_reward(judged_obs, action, info)
         with episodes.counting(present=False):
             action = self._postprocess_action(action)
         over = episodes.over()
@@ -616,7 +616,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         going_on = self._going_on(terminated, truncated, pending)
         changed = self.event_manager.step(going_on, stepped) + self.command_manager.step(going_on)
         obs = self._step_observation.to_return(judged_obs, changed, kwargs, stepped)
-        diverged = judge.diverged(obs, reward)
+        diverged = judge.find_diverged(obs, reward)
         if diverged is not None:
             judge.explain(diverged, obs, reward, info)
             info = judge.exclude(diverged, info)
@@ -1251,15 +1251,15 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
             self.copies = StepCopies(self)
             self._attach(self.copies)
-        return self.copies.host
+        return self.copies.copied_env
 
     def remove_observer(self, observer: StepObserver) -> None:
         """Detach an observer; ValueError if it is not attached."""
         attached: StepObserver = observer
         if self.copies is not None:
             self.copies.flush()
-            self.copies.host.observers.remove(observer)
-            if self.copies.host.observers:
+            self.copies.copied_env.observers.remove(observer)
+            if self.copies.copied_env.observers:
                 return
             # Without observers of the copy, steps need not be copied.
             attached = self.copies

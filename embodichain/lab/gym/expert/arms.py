@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.mdp._tools import MovesTool, Orientation
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.lab.sim.objects.robot import Robot
 
-__all__ = ["Arm", "arms_of", "declared_arms", "find_arm"]
+__all__ = ["ControlledArm", "arms_of", "declared_arms", "find_arm"]
 
 _TOOL_TERMS = (EefTerm, OperationalSpace, JointAction)
 """Classes of action terms that move a tool along a path; joint actions if they are positions."""
@@ -49,8 +50,8 @@ class DeclaredArm:
 
 
 @dataclass(frozen=True)
-class Arm:
-    """An arm of an environment.
+class ControlledArm:
+    """An arm of an environment, and the actions that control it.
 
     Attributes:
         name: Its action term; empty without action terms.
@@ -62,7 +63,7 @@ class Arm:
     """
 
     name: str
-    asset: Any
+    asset: Articulation
     term: MovesTool
     columns: slice
     gripper: ParallelGripper | None
@@ -142,7 +143,7 @@ def find_arm(name: str, arms: Iterable[DeclaredArm], path: str, key: str = "arm"
     raise ConfigError([Problem(path, message, did_you_mean(name, names).strip())])
 
 
-def arms_of(env: BaseEnv) -> list[tuple[DeclaredArm, Arm]]:
+def arms_of(env: BaseEnv) -> list[tuple[DeclaredArm, ControlledArm]]:
     """The arms of an environment, in the order of its actions."""
     manager = env.action_manager
     if not len(manager):
@@ -150,18 +151,18 @@ def arms_of(env: BaseEnv) -> list[tuple[DeclaredArm, Arm]]:
     instances = {name: term.instance for name, term in manager.terms.items()}
     grippers = {name: term for name, term in instances.items() if isinstance(term, ParallelGripper)}
     robot_of_gripper = {name: gripper.asset.uid for name, gripper in grippers.items()}
-    arms: list[tuple[DeclaredArm, Arm]] = []
+    arms: list[tuple[DeclaredArm, ControlledArm]] = []
     for name, term in instances.items():
         if not isinstance(term, _TOOL_TERMS) or not _has_tool(term):
             continue
-        asset: Any = term.asset
+        asset = term.asset
         gripper_name = _gripper_of(name, asset.uid, robot_of_gripper)
         gripper: ParallelGripper | None = None
         fingers = slice(0, 0)
         if gripper_name is not None:
             gripper = grippers[gripper_name]
             fingers = manager.slices[gripper_name]
-        arm = Arm(
+        arm = ControlledArm(
             name=name,
             asset=asset,
             term=cast("MovesTool", term),
@@ -181,7 +182,7 @@ def _has_tool(term: Any) -> bool:
         return False
 
 
-def _whole_robot(env: BaseEnv) -> list[tuple[DeclaredArm, Arm]]:
+def _whole_robot(env: BaseEnv) -> list[tuple[DeclaredArm, ControlledArm]]:
     """The robot of an environment without action terms, whose actions are joint positions."""
     robot = env.robot
     if robot is None or env.single_action_space.shape != (len(env.active_joint_ids),):
@@ -190,7 +191,7 @@ def _whole_robot(env: BaseEnv) -> list[tuple[DeclaredArm, Arm]]:
         term = _JointTargets(robot, env.active_joint_ids)
     except (ConfigError, ValueError):
         return []
-    arm = Arm(
+    arm = ControlledArm(
         name="",
         asset=robot,
         term=term,
@@ -208,7 +209,6 @@ class _JointTargets:
     tool_speeds = (np.inf, np.inf)
 
     def __init__(self, robot: Robot, joints: Iterable[int]) -> None:
-
         self._robot = robot
         self._joints = list(joints)
         parts_with_tool = [part for part in robot.control_parts if part in robot.parsed.tools]

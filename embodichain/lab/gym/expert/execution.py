@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.expert.arms import Arm, arms_of
+from embodichain.lab.gym.expert.arms import ControlledArm, arms_of
 from embodichain.lab.gym.expert.fingers import Fingers, read_fingers, unclear_fingers
 from embodichain.lab.gym.expert.grasps import NOTHING, Grasp
 from embodichain.lab.gym.expert.instructions import EXACT, Grip, Instruction, Move, Wait
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.utils.array_types import EnvIds
 
-    Rows = NDArray[np.int64]
+    Ints = NDArray[np.int64]
     Mask = NDArray[np.bool_]
 
 __all__ = ["Execution"]
@@ -50,7 +51,7 @@ class _ArmExecution:
     """One arm: its tool, its gripper, and how far it has come with its instruction.
 
     Attributes:
-        arm: The arm.
+        controlled: The arm.
         path: Its tool on its way.
         grasp: What its gripper holds.
         goals: Where its tool has to be.
@@ -62,24 +63,24 @@ class _ArmExecution:
     def __init__(
         self,
         env: BaseEnv,
-        arm: Arm,
+        arm: ControlledArm,
         fingers: Fingers,
         objects: list[Any],
         targets: TargetPoses,
     ) -> None:
-        self.arm = arm
+        self.controlled = arm
         self.path = ToolPath(arm, env.num_envs, env.step_dt)
         self.grasp = Grasp(env, arm, self.path, fingers, objects, targets)
         self.goals = ToolGoals(arm, self.path, fingers, self.grasp, targets)
-        self.instruction: Rows = np.full(env.num_envs, _NO_INSTRUCTION, np.int64)
-        self.elapsed_steps: Rows = np.zeros(env.num_envs, np.int64)
-        self.wait_steps: Rows = np.zeros(env.num_envs, np.int64)
+        self.instruction: Ints = np.full(env.num_envs, _NO_INSTRUCTION, np.int64)
+        self.elapsed_steps: Ints = np.zeros(env.num_envs, np.int64)
+        self.wait_steps: Ints = np.zeros(env.num_envs, np.int64)
 
-    def reset(self, rows: Rows) -> None:
+    def reset(self, env_ids: EnvIds) -> None:
         """Begin anew: the tool rests where it is, the gripper goes home."""
-        self.instruction[rows] = _NO_INSTRUCTION
-        self.path.rest(rows)
-        self.grasp.reset(rows)
+        self.instruction[env_ids] = _NO_INSTRUCTION
+        self.path.rest(env_ids)
+        self.grasp.reset(env_ids)
 
 
 class Execution:
@@ -134,18 +135,18 @@ class Execution:
         self._is_grip = _mark(instructions, Grip)
         self._is_wait = _mark(instructions, Wait)
         self._tolerance = _tolerances(instructions)
-        self._phase: Rows = np.full(env.num_envs, _BEFORE_FIRST_PHASE, np.int64)
+        self._phase: Ints = np.full(env.num_envs, _BEFORE_FIRST_PHASE, np.int64)
         self._is_new_episode: Mask = np.ones(env.num_envs, np.bool_)
         self.done: Mask = np.zeros(env.num_envs, np.bool_)
         self.failures: list[str | None] = [None] * env.num_envs
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin anew in these environments, at the next action."""
-        rows = np.arange(self.env.num_envs) if env_ids is None else np.asarray(env_ids)
-        self._is_new_episode[rows] = True
-        self.done[rows] = False
-        for row in rows:
-            self.failures[row] = None
+        env_ids = np.arange(self.env.num_envs) if env_ids is None else np.asarray(env_ids)
+        self._is_new_episode[env_ids] = True
+        self.done[env_ids] = False
+        for env_id in env_ids:
+            self.failures[env_id] = None
 
     def act(self) -> F64:
         """(N, A) the next actions, within the bounds of the action space."""
@@ -154,37 +155,42 @@ class Execution:
         self._begin_episodes()
         for arm in self._arms:
             arm.grasp.measure()
-            for target, rows in arm.grasp.dropped(is_watched=~self.done):
-                self._fail(arm, rows, f"the gripper has lost {target_name(target)}")
+            for target, env_ids in arm.grasp.find_dropped(is_watched=~self.done):
+                self._fail(arm, env_ids, f"the gripper has lost {target_name(target)}")
         # An instruction may be over as soon as it begins: at most all of them are.
         for _ in range(len(self._program.instructions) + 1):
             if not self._advance():
                 break
         for arm in self._arms:
             arm.elapsed_steps += 1
-        return self._action()
+        return self._command()
 
     # -- the course of the program -----------------------------------------------------------------
 
     def _begin_episodes(self) -> None:
         """Set out in environments whose episode begins."""
-        rows = np.flatnonzero(self._is_new_episode)
-        if not len(rows):
+        env_ids = np.flatnonzero(self._is_new_episode)
+        if not len(env_ids):
             return
-        self._is_new_episode[rows] = False
-        self._phase[rows] = _BEFORE_FIRST_PHASE
+        self._is_new_episode[env_ids] = False
+        self._phase[env_ids] = _BEFORE_FIRST_PHASE
         for arm in self._arms:
-            arm.reset(rows)
+            arm.reset(env_ids)
 
     def _advance(self) -> bool:
         """Go on to the next instruction where one is over; return whether any was."""
-        is_over = [self._is_over(arm) for arm in self._arms]
+        is_over: list[Mask] = []
+        for arm in self._arms:
+            has_arrived = self._has_arrived(arm)
+            self._fail_late_moves(arm, has_arrived)
+            is_over.append(self._is_over(arm, has_arrived))
+        # A failure of one arm ends the program for all arms of its environment.
         for over in is_over:
-            over &= ~self.done  # another arm may have failed since
+            over &= ~self.done
         if not any(over.any() for over in is_over):
             return False
-        for index, arm, rows in self._by_instruction(is_over):
-            self._finish(index, arm, rows)
+        for index, arm, env_ids in self._by_instruction(is_over):
+            self._finish(index, arm, env_ids)
         begins: list[Mask] = []
         following = np.append(self._program.next, _NO_INSTRUCTION)
         for arm, over in zip(self._arms, is_over, strict=True):
@@ -192,12 +198,12 @@ class Execution:
             arm.instruction = np.where(over, following[arm.instruction], arm.instruction)
             begins.append(over & (arm.instruction != _NO_INSTRUCTION))
         self._begin_phases(begins)
-        for index, arm, rows in self._by_instruction(begins):
-            self._start(index, arm, rows)
+        for index, arm, env_ids in self._by_instruction(begins):
+            self._start(index, arm, env_ids)
         return True
 
-    def _by_instruction(self, masks: Sequence[Mask]) -> list[tuple[int, _ArmExecution, Rows]]:
-        """Return the instructions of arms in some environments, in order, with their rows.
+    def _by_instruction(self, masks: Sequence[Mask]) -> list[tuple[int, _ArmExecution, EnvIds]]:
+        """Return the instructions of arms in some environments, in order, with their numbers.
 
         Args:
             masks: For each arm, (N,) the environments.
@@ -215,19 +221,23 @@ class Execution:
         is_idle = ~self.done
         for arm in self._arms:
             is_idle &= arm.instruction == _NO_INSTRUCTION
-        rows = np.flatnonzero(is_idle)
-        self._phase[rows] += 1
-        is_end = self._phase[rows] >= len(self._program.first)
-        self.done[rows[is_end]] = True
-        rows = rows[~is_end]
+        env_ids = np.flatnonzero(is_idle)
+        self._phase[env_ids] += 1
+        is_end = self._phase[env_ids] >= len(self._program.first)
+        self.done[env_ids[is_end]] = True
+        env_ids = env_ids[~is_end]
         for number, (arm, begin) in enumerate(zip(self._arms, begins, strict=True)):
-            arm.instruction[rows] = self._program.first[self._phase[rows], number]
-            begin[rows] = arm.instruction[rows] != _NO_INSTRUCTION
+            arm.instruction[env_ids] = self._program.first[self._phase[env_ids], number]
+            begin[env_ids] = arm.instruction[env_ids] != _NO_INSTRUCTION
 
-    def _is_over(self, arm: _ArmExecution) -> Mask:
-        """(N,) whether an arm's instruction is over; fails motions that do not arrive."""
+    def _is_over(self, arm: _ArmExecution, has_arrived: Mask) -> Mask:
+        """(N,) whether an arm's instruction is over.
+
+        Args:
+            arm: The arm.
+            has_arrived: (N,) the result of `_has_arrived`.
+        """
         index = arm.instruction
-        has_arrived = self._has_arrived(arm)
         over: Mask = self._is_move[index] & has_arrived
         over |= self._is_grip[index] & self._has_gripped(arm)
         over |= self._is_wait[index] & (arm.elapsed_steps >= arm.wait_steps)
@@ -235,7 +245,7 @@ class Execution:
         return over
 
     def _has_arrived(self, arm: _ArmExecution) -> Mask:
-        """(N,) whether an arm's tool is where its path leads; fails those that are late."""
+        """(N,) whether an arm's tool is at the end of its path."""
         path = arm.path
         tolerance = self._tolerance[arm.instruction]
         distance, angle = path.remaining()
@@ -243,16 +253,26 @@ class Execution:
         is_near = (distance <= tolerance) & (angle <= np.where(is_exact, _EXACT_TURN, _COARSE_TURN))
         is_near &= path.at_rest() | ~is_exact
         is_waypoint = ~np.isfinite(tolerance)  # passed without stopping
-        has_arrived: Mask = path.asked() & (is_near | is_waypoint)
+        return path.is_at_end() & (is_near | is_waypoint)
 
+    def _fail_late_moves(self, arm: _ArmExecution, has_arrived: Mask) -> None:
+        """Fail the environments in which an arm's tool has had its time and has not arrived.
+
+        Args:
+            arm: The arm.
+            has_arrived: (N,) the result of `_has_arrived`.
+        """
+        path = arm.path
         deadline = path.steps + self._in_steps(_ARRIVAL_TIMEOUT_S)
         is_late = self._is_move[arm.instruction] & (arm.elapsed_steps > deadline)
         is_late &= ~has_arrived & ~self.done
-        for row in np.flatnonzero(is_late).tolist():
-            missing = f"{1000 * distance[row]:.0f} mm and {angle[row]:.2f} rad are missing"
-            why = f"the tool has not arrived: {self._obstacles(arm, row)}; {missing}"
-            self._fail(arm, np.array([row]), why)
-        return has_arrived
+        if not is_late.any():
+            return
+        distance, angle = path.remaining()
+        for env_id in np.flatnonzero(is_late).tolist():
+            missing = f"{1000 * distance[env_id]:.0f} mm and {angle[env_id]:.2f} rad are missing"
+            why = f"the tool has not arrived: {self._obstacles(arm, env_id)}; {missing}"
+            self._fail(arm, np.array([env_id]), why)
 
     def _has_gripped(self, arm: _ArmExecution) -> Mask:
         """(N,) whether an arm's fingers have come to rest, or had time to."""
@@ -269,70 +289,69 @@ class Execution:
 
     # -- instructions ------------------------------------------------------------------------------
 
-    def _start(self, index: int, arm: _ArmExecution, rows: Rows) -> None:
+    def _start(self, index: int, arm: _ArmExecution, env_ids: EnvIds) -> None:
         """Begin an instruction in some environments."""
         instruction = self._program.instructions[index]
-        arm.elapsed_steps[rows] = 0
+        arm.elapsed_steps[env_ids] = 0
         if isinstance(instruction, Wait):
-            arm.wait_steps[rows] = max(1, self._in_steps(instruction.seconds))
+            arm.wait_steps[env_ids] = max(1, self._in_steps(instruction.seconds))
         elif isinstance(instruction, Grip):
-            arm.grasp.start(rows, instruction.opens)
+            arm.grasp.start(env_ids, instruction.opens)
         elif isinstance(instruction, Move):
-            self._start_move(instruction, arm, rows)
+            self._start_move(instruction, arm, env_ids)
 
-    def _start_move(self, move: Move, arm: _ArmExecution, rows: Rows) -> None:
+    def _start_move(self, move: Move, arm: _ArmExecution, env_ids: EnvIds) -> None:
         """Plan the path of a tool from where it is."""
         if move.goal.held:
-            is_empty = arm.grasp.object[rows] == NOTHING
-            self._fail(arm, rows[is_empty], "the gripper holds nothing")
-            rows = rows[~is_empty]
-        if not len(rows):
+            is_empty = arm.grasp.object[env_ids] == NOTHING
+            self._fail(arm, env_ids[is_empty], "the gripper holds nothing")
+            env_ids = env_ids[~is_empty]
+        if not len(env_ids):
             return
-        pos, quat = arm.goals.pose(move.goal, rows)
-        is_reachable = arm.path.plan(rows, pos, quat, move.speed)
-        for row, place in zip(rows[~is_reachable], pos[~is_reachable], strict=True):
-            obstacle = arm.path.obstacles[int(row)]
+        pos, quat = arm.goals.pose(move.goal, env_ids)
+        is_reachable = arm.path.plan(env_ids, pos, quat, move.speed)
+        for env_id, place in zip(env_ids[~is_reachable], pos[~is_reachable], strict=True):
+            obstacle = arm.path.obstacles[int(env_id)]
             why = f"no straight line of the tool to {as_place(place)}: {obstacle}"
-            self._fail(arm, np.array([row]), why)
+            self._fail(arm, np.array([env_id]), why)
 
-    def _finish(self, index: int, arm: _ArmExecution, rows: Rows) -> None:
+    def _finish(self, index: int, arm: _ArmExecution, env_ids: EnvIds) -> None:
         """See what an instruction has achieved: what a gripper closed on."""
         instruction = self._program.instructions[index]
         if isinstance(instruction, Grip) and instruction.takes is not None:
-            empty = arm.grasp.take(rows, instruction.takes)
+            empty = arm.grasp.take(env_ids, instruction.takes)
             self._fail(arm, empty, "the fingers closed on nothing")
 
-    def _fail(self, arm: _ArmExecution, rows: Rows, why: str) -> None:
+    def _fail(self, arm: _ArmExecution, env_ids: EnvIds, why: str) -> None:
         """Stop in these environments: all arms stay where they are."""
-        for row in rows[~self.done[rows]]:
-            index = arm.instruction[row]
+        for env_id in env_ids[~self.done[env_ids]]:
+            index = arm.instruction[env_id]
             if index == _NO_INSTRUCTION:  # it has finished: the failure is another arm's
-                index = max(other.instruction[row] for other in self._arms)
-            self.failures[row] = f"{self._program.instructions[index].step}: {why}"
-            self.done[row] = True
+                index = max(other.instruction[env_id] for other in self._arms)
+            self.failures[env_id] = f"{self._program.instructions[index].step}: {why}"
+            self.done[env_id] = True
             for other in self._arms:
-                other.path.stop(row)
+                other.path.stop(env_id)
 
-    def _obstacles(self, arm: _ArmExecution, row: int) -> str:
+    def _obstacles(self, arm: _ArmExecution, env_id: int) -> str:
         """Return what an arm's robot, and what the arm holds, touches in an environment."""
-        robot = frozenset(map(int, arm.arm.asset.entity.body_ids))
-        return obstacles(self.env.sim.engine, row, robot, arm.grasp.held_bodies(row))
+        robot = frozenset(map(int, arm.controlled.asset.index.body_ids))
+        return obstacles(self.env.sim.engine, env_id, robot, arm.grasp.held_bodies(env_id))
 
     # -- actions -----------------------------------------------------------------------------------
 
-    def _action(self) -> F64:
-        """(N, A) the actions: tools go along their paths, everything else is held."""
+    def _command(self) -> F64:
+        """Take each tool one step along its path, hold everything else; return (N, A) actions."""
         manager = self.env.action_manager
-        action: F64
         if len(manager):
-            action = manager.hold()
+            action: F64 = manager.hold()
         else:  # a class's own actions: those of its only arm
-            action = np.zeros((self.env.num_envs, self._arms[0].arm.columns.stop))
+            action = np.zeros((self.env.num_envs, self._arms[0].controlled.columns.stop))
         for arm in self._arms:
             is_moving = self._is_move[arm.instruction] & ~self.done
-            action[:, arm.arm.columns] = arm.path.action(is_moving)
-            if arm.arm.gripper is not None:
-                action[:, arm.arm.fingers] = arm.grasp.command[:, None]
+            action[:, arm.controlled.columns] = arm.path.advance(is_moving)
+            if arm.controlled.gripper is not None:
+                action[:, arm.controlled.fingers] = arm.grasp.command[:, None]
         if self._pushes is None:
             return action
         return self._pushes.added(action, self.done)

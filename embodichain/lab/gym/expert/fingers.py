@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import lazy_loader
 import numpy as np
 
-from embodichain.lab.gym.expert.arms import Arm, DeclaredArm, arms_of, find_arm
+from embodichain.lab.gym.expert.arms import ControlledArm, DeclaredArm, arms_of, find_arm
 from embodichain.lab.gym.expert.instructions import Move
 from embodichain.lab.gym.expert.program import check_steps
 from embodichain.lab.gym.expert.reading import ReadStep, flat_steps
@@ -64,7 +64,7 @@ class Fingers:
     reason: str = ""
 
 
-def read_fingers(arm: Arm) -> Fingers:
+def read_fingers(arm: ControlledArm) -> Fingers:
     """The fingers of an arm; without any (suction, no gripper) the tool's x axis counts."""
     if arm.gripper is None:
         return Fingers(frozenset(), 0.0)
@@ -88,7 +88,9 @@ def read_fingers(arm: Arm) -> Fingers:
 
 
 def unclear_fingers(
-    steps: Sequence[ReadStep], pairs: Sequence[tuple[DeclaredArm, Arm]], fingers: Sequence[Fingers]
+    steps: Sequence[ReadStep],
+    pairs: Sequence[tuple[DeclaredArm, ControlledArm]],
+    fingers: Sequence[Fingers],
 ) -> list[Problem]:
     """Grippers that steps align although the line along which their fingers move is not clear.
 
@@ -177,7 +179,7 @@ class _Equality:
         return _Equality(self.dofs[is_free], self.values[is_free])
 
 
-def _opening_motion(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm) -> F64:
+def _opening_motion(model: mujoco.MjModel, data: mujoco.MjData, arm: ControlledArm) -> F64:
     """(nv,) accelerations while the gripper opens, of any size; the arm's joints are held.
 
     They minimize Gauss's constraint over the motions that the equalities allow.
@@ -187,7 +189,7 @@ def _opening_motion(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm) -> F64
     force = arm.gripper.opening_force(data)
     is_moving = force != 0.0
     is_held = np.zeros(model.nv, np.bool_)
-    is_held[np.asarray(arm.asset.entity.dof_adr, np.int64)[arm.term.solver.moving]] = True
+    is_held[np.asarray(arm.asset.index.dof_adr, np.int64)[arm.term.solver.moving]] = True
     is_held &= ~is_moving
     equalities = [row.without(is_held) for row in _active_equalities(model, data)]
     while True:  # what moves also moves what it is coupled with, until nothing is added

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.gym.expert.arms import Arm
+    from embodichain.lab.gym.expert.arms import ControlledArm
     from embodichain.lab.gym.expert.fingers import Fingers
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import EnvIds
 
-    Rows = NDArray[np.int64]
+    Ints = NDArray[np.int64]
     Mask = NDArray[np.bool_]
 
 __all__ = ["NOTHING", "Grasp"]
@@ -58,7 +59,7 @@ class Grasp:
     def __init__(
         self,
         env: BaseEnv,
-        arm: Arm,
+        arm: ControlledArm,
         path: ToolPath,
         fingers: Fingers,
         objects: Sequence[Any],
@@ -72,27 +73,27 @@ class Grasp:
         self._targets = targets
         self.objects = objects
         self._object_bodies = [targets.bodies(target) for target in objects]
-        self.object: Rows = np.full(count, NOTHING, np.int64)
+        self.object: Ints = np.full(count, NOTHING, np.int64)
         self.position: F64 = np.zeros((count, 3))
         self.command: F64 = np.zeros(count)
         self._opening: F64 = np.zeros(count)
-        self._resting_steps: Rows = np.zeros(count, np.int64)
+        self._resting_steps: Ints = np.zeros(count, np.int64)
 
-    def reset(self, rows: Rows) -> None:
+    def reset(self, env_ids: EnvIds) -> None:
         """Hold nothing, and command the gripper's home."""
-        self.object[rows] = NOTHING
+        self.object[env_ids] = NOTHING
         if self._gripper is not None:
-            self.command[rows] = self._gripper.home()
+            self.command[env_ids] = self._gripper.home()
 
-    def start(self, rows: Rows, opens: bool) -> None:
+    def start(self, env_ids: EnvIds, opens: bool) -> None:
         """Begin to open or to close."""
         if self._gripper is None:
             raise ValueError("there is no gripper")
         ends = self._gripper.high if opens else self._gripper.low
-        self.command[rows] = ends[0]
-        self._resting_steps[rows] = 0
+        self.command[env_ids] = ends[0]
+        self._resting_steps[env_ids] = 0
         if opens:
-            self.object[rows] = NOTHING
+            self.object[env_ids] = NOTHING
 
     @property
     def is_measured(self) -> bool:
@@ -112,27 +113,28 @@ class Grasp:
         """(N,) whether the fingers no longer move."""
         return self._resting_steps >= _RESTING_STEPS
 
-    def take(self, rows: Rows, target: Any) -> Rows:
+    def take(self, env_ids: EnvIds, target: Any) -> EnvIds:
         """Hold an object between closed fingers; return the environments where there is none."""
         opening = None if self._gripper is None else self._gripper.opening()
-        empty = rows[:0]
+        empty = env_ids[:0]
         if opening is not None:
-            is_empty = opening[rows] < _CLOSED_ON_NOTHING
-            empty = rows[is_empty]
-            rows = rows[~is_empty]
-        self.object[rows] = self.objects.index(target)
-        self.position[rows] = self._in_tool(target)[rows]
+            is_empty = opening[env_ids] < _CLOSED_ON_NOTHING
+            empty = env_ids[is_empty]
+            env_ids = env_ids[~is_empty]
+        self.object[env_ids] = self.objects.index(target)
+        self.position[env_ids] = self._in_tool(target)[env_ids]
         return empty
 
-    def dropped(self, is_watched: Mask) -> list[tuple[Any, Rows]]:
+    def find_dropped(self, is_watched: Mask) -> list[tuple[Any, EnvIds]]:
         """Return each object that was lost, with the environments.
 
-        An object that only turned or slipped, and that fingers touch, is held where it is now.
+        An object that only turned or slipped, and that fingers touch, is held where it is now: its
+        `position` is set anew.
 
         Args:
             is_watched: (N,) environments where this matters.
         """
-        lost: list[tuple[Any, Rows]] = []
+        lost: list[tuple[Any, EnvIds]] = []
         for number, target in enumerate(self.objects):
             holds_this = self.object == number
             if not holds_this.any():
@@ -140,21 +142,22 @@ class Grasp:
             position = self._in_tool(target)
             moved = holds_this & (length(position - self.position) > _DROPPED_DISTANCE)
             moved &= is_watched
-            rows = [row for row in np.flatnonzero(moved).tolist() if not self._grips(row, number)]
+            candidates = np.flatnonzero(moved).tolist()
+            env_ids = [env_id for env_id in candidates if not self._is_touched(env_id, number)]
             self.position[moved] = position[moved]
-            if rows:
-                lost.append((target, np.array(rows, np.int64)))
+            if env_ids:
+                lost.append((target, np.array(env_ids, np.int64)))
         return lost
 
-    def held_bodies(self, row: int) -> frozenset[int]:
+    def held_bodies(self, env_id: int) -> frozenset[int]:
         """MuJoCo ids of the bodies of what is held in an environment."""
-        number = self.object[row]
+        number = self.object[env_id]
         return frozenset() if number == NOTHING else self._object_bodies[number]
 
-    def _grips(self, row: int, number: int) -> bool:
+    def _is_touched(self, env_id: int, number: int) -> bool:
         """Whether fingers touch an object in an environment."""
         bodies = self._object_bodies[number]
-        return is_touching(self._env.sim.engine, row, self._finger_bodies, bodies)
+        return is_touching(self._env.sim.engine, env_id, self._finger_bodies, bodies)
 
     def _in_tool(self, target: Any) -> F64:
         """(N, 3) position of a target in the tool's axes."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.gym.expert.arms import Arm
+    from embodichain.lab.gym.expert.arms import ControlledArm
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["Pushes"]
@@ -39,7 +39,7 @@ class Pushes:
         ConfigError: If the actions of an arm have no bounds.
     """
 
-    def __init__(self, env: BaseEnv, arms: Sequence[Arm], size: float) -> None:
+    def __init__(self, env: BaseEnv, arms: Sequence[ControlledArm], size: float) -> None:
         space: Any = env.single_action_space
         self._env = env
         self._low: F64 = space.low.astype(np.float64)

@@ -14,6 +14,7 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.managers.term import CommandTerm
     from embodichain.lab.gym.expert.instructions import Target
     from embodichain.lab.sim.compiler.names import Known
     from embodichain.lab.sim.engine.api import F64
@@ -106,7 +107,7 @@ class TargetPoses:
         entity = self._env.scene_entity(reference)
         if entity.link_body is not None:
             return frozenset([int(entity.link_body)])
-        return frozenset(map(int, entity.asset.entity.body_ids))
+        return frozenset(map(int, entity.asset.index.body_ids))
 
     def _make_reader(self, target: Target, path: str) -> Callable[[], Poses]:
         """Return the function that reads the poses of one target."""
@@ -130,7 +131,7 @@ class TargetPoses:
 
     def _make_command_reader(self, name: str, path: str) -> Callable[[], Poses]:
         """Return the function that reads a command, a pose in the axes of a body or a position."""
-        term: Any = self._env.command_manager.terms[name].instance
+        term: CommandTerm = self._env.command_manager.terms[name].instance
         values = term.values
         if term.marker is not None and term.marker.kind == "pose":
             engine = self._env.sim.engine

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.expert.arms import Arm, DeclaredArm, find_arm
+from embodichain.lab.gym.expert.arms import ControlledArm, DeclaredArm, find_arm
 from embodichain.lab.gym.expert.instructions import Goal, Move
 from embodichain.lab.gym.expert.targets import WORLD, TargetPoses
 from embodichain.lab.gym.expert.trajectories import ToolPath, length
@@ -22,14 +22,11 @@ from embodichain.utils.math import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from embodichain.lab.gym.expert.fingers import Fingers
     from embodichain.lab.gym.expert.grasps import Grasp
     from embodichain.lab.gym.expert.reading import ReadStep
     from embodichain.lab.sim.engine.api import F64
-
-    Rows = NDArray[np.int64]
+    from embodichain.utils.array_types import EnvIds
 
 __all__ = ["ToolGoals", "check_orientations"]
 
@@ -50,7 +47,12 @@ class ToolGoals:
     """
 
     def __init__(
-        self, arm: Arm, path: ToolPath, fingers: Fingers, grasp: Grasp, targets: TargetPoses
+        self,
+        arm: ControlledArm,
+        path: ToolPath,
+        fingers: Fingers,
+        grasp: Grasp,
+        targets: TargetPoses,
     ) -> None:
         self._arm = arm
         self._path = path
@@ -58,40 +60,40 @@ class ToolGoals:
         self._grasp = grasp
         self._targets = targets
 
-    def pose(self, goal: Goal, rows: Rows) -> tuple[F64, F64]:
+    def pose(self, goal: Goal, env_ids: EnvIds) -> tuple[F64, F64]:
         """Position (n, 3) and orientation (n, 4) of the tool for a goal, in n environments."""
-        tool_pos = self._path.path_pos[rows]
-        tool_quat = self._path.path_quat[rows]
+        tool_pos = self._path.path_pos[env_ids]
+        tool_quat = self._path.path_quat[env_ids]
         pos = tool_pos
         axes = tool_quat
         if goal.target is not None:
             target_pos, target_quat = self._targets(goal.target)
-            pos = target_pos[rows]
-            axes = target_quat[rows]
+            pos = target_pos[env_ids]
+            axes = target_quat[env_ids]
         if goal.start is not None:
-            pos = pos + goal.beyond * self._direction(goal, rows)
+            pos = pos + goal.beyond * self._direction(goal, env_ids)
         if goal.axes == "world":
-            axes = np.tile(_NO_TURN, (len(rows), 1))
+            axes = np.tile(_NO_TURN, (len(env_ids), 1))
         elif goal.axes == "tool":
             axes = tool_quat
-        pos = pos + quat_rotate(axes, np.tile(goal.offset, (len(rows), 1)))
+        pos = pos + quat_rotate(axes, np.tile(goal.offset, (len(env_ids), 1)))
         pos = pos + np.array([0.0, 0.0, goal.above])
 
-        held_pos, held_quat = self._held_pose(goal, rows)
+        held_pos, held_quat = self._held_pose(goal, env_ids)
         quat = tool_quat
         if goal.rpy is not None:
             # About fixed axes, roll first: the inverse of the intrinsic rotations by -rpy.
             rotation = quat_conjugate(euler_xyz_to_quat(-np.asarray(goal.rpy, np.float64)))
-            quat = quat_multiply(axes, np.tile(rotation, (len(rows), 1)))
+            quat = quat_multiply(axes, np.tile(rotation, (len(env_ids), 1)))
         elif goal.align is not None and self._arm.term.orientation == "any":
             facing = quat_multiply(tool_quat, held_quat)
             if not goal.held:
                 facing = self._fingers_along_x(facing)
-            turn = self._turn(goal, facing, tool_quat, rows)
+            turn = self._turn(goal, facing, tool_quat, env_ids)
             quat = quat_multiply(turn, tool_quat)
         # What is held, or the point ahead of the tool, is at the place: the tool is behind it.
-        lead = held_pos + np.tile([0.0, 0.0, goal.back], (len(rows), 1))
-        return pos - quat_rotate(quat, lead), quat
+        held_offset = held_pos + np.tile([0.0, 0.0, goal.back], (len(env_ids), 1))
+        return pos - quat_rotate(quat, held_offset), quat
 
     def _fingers_along_x(self, quat: F64) -> F64:
         """(n, 4) orientations whose x axis is the line along which the tool's fingers move."""
@@ -100,35 +102,35 @@ class ToolGoals:
         turn = rotvec_to_quat(np.array([0.0, 0.0, self._fingers.angle]))
         return quat_multiply(quat, np.tile(turn, (len(quat), 1)))
 
-    def _direction(self, goal: Goal, rows: Rows) -> F64:
+    def _direction(self, goal: Goal, env_ids: EnvIds) -> F64:
         """(n, 3) horizontal unit vectors, away from `goal.start` through the target."""
         end, _ = self._targets(goal.target or WORLD)
         start, _ = self._targets(goal.start or WORLD)
-        way = (end - start)[rows]
+        way = (end - start)[env_ids]
         way[:, 2] = 0.0
         return way / np.maximum(length(way), 1e-9)[:, None]
 
-    def _held_pose(self, goal: Goal, rows: Rows) -> tuple[F64, F64]:
+    def _held_pose(self, goal: Goal, env_ids: EnvIds) -> tuple[F64, F64]:
         """Pose of what is held in the tool's frame, (n, 3), (n, 4); none without `goal.held`."""
-        pos = np.zeros((len(rows), 3))
-        quat = np.tile(_NO_TURN, (len(rows), 1))
+        pos = np.zeros((len(env_ids), 3))
+        quat = np.tile(_NO_TURN, (len(env_ids), 1))
         if not goal.held:
             return pos, quat
-        to_tool = quat_conjugate(self._path.quat[rows])
-        held = self._grasp.object[rows]
+        to_tool = quat_conjugate(self._path.quat[env_ids])
+        held = self._grasp.object[env_ids]
         for number in np.unique(held):
             holds_this = held == number
             target_pos, target_quat = self._targets(self._grasp.objects[number])
-            way = target_pos[rows][holds_this] - self._path.pos[rows][holds_this]
+            way = target_pos[env_ids][holds_this] - self._path.pos[env_ids][holds_this]
             pos[holds_this] = quat_rotate(to_tool[holds_this], way)
-            quat[holds_this] = quat_multiply(to_tool[holds_this], target_quat[rows][holds_this])
+            quat[holds_this] = quat_multiply(to_tool[holds_this], target_quat[env_ids][holds_this])
         return pos, quat
 
-    def _turn(self, goal: Goal, facing: F64, tool_quat: F64, rows: Rows) -> F64:
+    def _turn(self, goal: Goal, facing: F64, tool_quat: F64, env_ids: EnvIds) -> F64:
         """(n, 4) smallest rotation about the vertical that makes axes parallel to the target's."""
         _, align_quat = self._targets(goal.align or WORLD)
         period = 2.0 * np.pi / goal.symmetry
-        angle = _heading(align_quat[rows]) - _heading(facing) + 0.5 * period
+        angle = _heading(align_quat[env_ids]) - _heading(facing) + 0.5 * period
         angle = angle - period * np.floor(angle / period) - 0.5 * period
         if not goal.level:
             is_upright = np.abs(quat_to_matrix(tool_quat)[:, 2, 2]) > _VERTICAL
@@ -146,7 +148,7 @@ def _heading(quat: F64) -> F64:
 
 
 def check_orientations(
-    steps: Sequence[ReadStep], arms: Sequence[Arm], declared: Sequence[DeclaredArm]
+    steps: Sequence[ReadStep], arms: Sequence[ControlledArm], declared: Sequence[DeclaredArm]
 ) -> list[Problem]:
     """Return steps that ask for an orientation of an arm whose action does not choose it."""
     problems: list[Problem] = []

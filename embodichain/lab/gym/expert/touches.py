@@ -30,12 +30,12 @@ _WEAK = 0.5
 """Force in newtons below which a contact stops no arm."""
 
 
-def obstacles(engine: Engine, row: int, robot: Collection[int], held: Collection[int]) -> str:
+def obstacles(engine: Engine, env_id: int, robot: Collection[int], held: Collection[int]) -> str:
     """What a robot, or what it holds, touches in an environment, in words.
 
     Args:
         engine: The engine.
-        row: The environment.
+        env_id: The environment.
         robot: Bodies of the robot.
         held: Bodies of what it holds; that they touch the robot is left out.
 
@@ -45,7 +45,7 @@ def obstacles(engine: Engine, row: int, robot: Collection[int], held: Collection
     """
     arm_bodies = {*robot, *held}
     net_forces: dict[tuple[str, str], F64] = {}
-    for contact in _active_contacts(engine, row):
+    for contact in _active_contacts(engine, env_id):
         if contact.is_between(robot, held):
             continue
         name1 = _shown_name(engine.model, contact.body1, contact.geom1)
@@ -66,9 +66,11 @@ def obstacles(engine: Engine, row: int, robot: Collection[int], held: Collection
     return ", ".join(touches) or "nothing is touched"
 
 
-def is_touching(engine: Engine, row: int, some: Collection[int], others: Collection[int]) -> bool:
+def is_touching(
+    engine: Engine, env_id: int, some: Collection[int], others: Collection[int]
+) -> bool:
     """Whether some bodies touch others in an environment."""
-    return any(contact.is_between(some, others) for contact in _active_contacts(engine, row))
+    return any(contact.is_between(some, others) for contact in _active_contacts(engine, env_id))
 
 
 @dataclass(frozen=True)
@@ -94,9 +96,9 @@ class _Contact:
         return self.body2 in some and self.body1 in others
 
 
-def _active_contacts(engine: Engine, row: int) -> Iterator[_Contact]:
+def _active_contacts(engine: Engine, env_id: int) -> Iterator[_Contact]:
     """The contacts of an environment that have a force and are between geoms."""
-    data = engine.data_of(row)
+    data = engine.data_of(env_id)
     model = engine.model
     wrench = np.zeros(6)
     for number in range(data.ncon):

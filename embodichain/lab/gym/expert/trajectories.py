@@ -23,8 +23,9 @@ from embodichain.utils.math import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.expert.arms import Arm
+    from embodichain.lab.gym.expert.arms import ControlledArm
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import EnvIds
 
 __all__ = ["ToolPath", "as_place", "length"]
 
@@ -83,7 +84,7 @@ class ToolPath:
         obstacles: Environment -> where its last line ended that could not be reached, and why.
     """
 
-    def __init__(self, arm: Arm, num_envs: int, step_dt: float) -> None:
+    def __init__(self, arm: ControlledArm, num_envs: int, step_dt: float) -> None:
         self._arm = arm
         self._dt = step_dt
         self._count = num_envs
@@ -98,7 +99,7 @@ class ToolPath:
         self.pos, self.quat = self._solver.forward(arm.asset.read_qpos())
         self._speed: F64 = np.zeros(num_envs)  # of the tool, m/s
 
-        # The path: joint positions of each control step, and how far it was asked for.
+        # The path: joint positions of each control step, and how many were commanded.
         joints = len(self._solver.moving)
         self._path: F64 = np.zeros((num_envs, 1, joints))
         self.steps: NDArray[np.int64] = np.zeros(num_envs, np.int64)
@@ -119,27 +120,27 @@ class ToolPath:
         self.pos, self.quat = self._solver.forward(self._arm.asset.read_qpos())
         self._speed = length(self.pos - before) / self._dt
 
-    def rest(self, rows: NDArray[np.int64]) -> None:
+    def rest(self, env_ids: EnvIds) -> None:
         """Stay where the tool is in these environments, whose episodes begin."""
-        qpos = self._arm.asset.read_qpos()[rows][:, self._solver.moving]
-        self._last_qpos[rows] = qpos
-        self._path[rows, 0] = qpos
-        self.steps[rows] = 1
-        self._step[rows] = 0
-        self._correction[rows] = 0.0
-        self.path_pos[rows] = self.pos[rows]
-        self.path_quat[rows] = self.quat[rows]
-        self._goal_pos[rows] = self.pos[rows]
-        self._goal_quat[rows] = self.quat[rows]
-        self._speed[rows] = 0.0
+        qpos = self._arm.asset.read_qpos()[env_ids][:, self._solver.moving]
+        self._last_qpos[env_ids] = qpos
+        self._path[env_ids, 0] = qpos
+        self.steps[env_ids] = 1
+        self._step[env_ids] = 0
+        self._correction[env_ids] = 0.0
+        self.path_pos[env_ids] = self.pos[env_ids]
+        self.path_quat[env_ids] = self.quat[env_ids]
+        self._goal_pos[env_ids] = self.pos[env_ids]
+        self._goal_quat[env_ids] = self.quat[env_ids]
+        self._speed[env_ids] = 0.0
 
     # -- planning, once for each motion ------------------------------------------------------------
 
-    def plan(self, rows: NDArray[np.int64], pos: F64, quat: F64, speed: float) -> NDArray[np.bool_]:
+    def plan(self, env_ids: EnvIds, pos: F64, quat: F64, speed: float) -> NDArray[np.bool_]:
         """Plan a straight line from where the tool is on its path to a pose.
 
         Args:
-            rows: (n,) environments.
+            env_ids: (n,) environments.
             pos: (n, 3) m, in the environment's frame.
             quat: (n, 4).
             speed: Share of the largest speed.
@@ -147,25 +148,25 @@ class ToolPath:
         Returns:
             (n,) whether all of the line can be reached; where not, the tool stays.
         """
-        line, is_reachable = self._line(rows, pos, quat)
-        timings = self._timing(rows, pos, quat, line, speed)
+        line, is_reachable = self._line(env_ids, pos, quat)
+        timings = self._timing(env_ids, pos, quat, line, speed)
         self._make_room(max((len(shares) for shares in timings), default=1))
-        for number, row in enumerate(rows):
+        for number, env_id in enumerate(env_ids):
             shares = timings[number]
             points = line[number]
             if not is_reachable[number]:
                 shares = np.ones(1)
-                points = np.tile(self._last_qpos[row], (_WAYPOINTS + 1, 1))
+                points = np.tile(self._last_qpos[env_id], (_WAYPOINTS + 1, 1))
             # Joint positions between two of the points, linearly.
             place = shares * _WAYPOINTS
             before = np.minimum(place.astype(np.int64), _WAYPOINTS - 1)
             fraction = (place - before)[:, None]
             path = points[before] * (1.0 - fraction) + points[before + 1] * fraction
-            self._path[row, : len(path)] = path
-            self.steps[row] = len(path)
-        self._step[rows] = 0
-        self._goal_pos[rows] = np.where(is_reachable[:, None], pos, self.path_pos[rows])
-        self._goal_quat[rows] = np.where(is_reachable[:, None], quat, self.path_quat[rows])
+            self._path[env_id, : len(path)] = path
+            self.steps[env_id] = len(path)
+        self._step[env_ids] = 0
+        self._goal_pos[env_ids] = np.where(is_reachable[:, None], pos, self.path_pos[env_ids])
+        self._goal_quat[env_ids] = np.where(is_reachable[:, None], quat, self.path_quat[env_ids])
         return is_reachable
 
     def _make_room(self, steps: int) -> None:
@@ -176,14 +177,14 @@ class ToolPath:
             longer[:, :length_now] = self._path
             self._path = longer
 
-    def _line(self, rows: NDArray[np.int64], pos: F64, quat: F64) -> tuple[F64, NDArray[np.bool_]]:
+    def _line(self, env_ids: EnvIds, pos: F64, quat: F64) -> tuple[F64, NDArray[np.bool_]]:
         """(n, W + 1, k) joint positions on lines, and (n,) whether they reach all of them."""
-        start_pos = self.path_pos[rows]
-        start_quat = self.path_quat[rows]
+        start_pos = self.path_pos[env_ids]
+        start_quat = self.path_quat[env_ids]
         turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(start_quat)))
-        start_qpos = self._arm.asset.read_qpos()[rows].copy()
-        start_qpos[:, self._solver.moving] = self._last_qpos[rows]
-        end_qpos, is_reachable = self._inverse(rows, start_qpos, pos, quat)
+        start_qpos = self._arm.asset.read_qpos()[env_ids].copy()
+        start_qpos[:, self._solver.moving] = self._last_qpos[env_ids]
+        end_qpos, is_reachable = self._inverse(env_ids, start_qpos, pos, quat)
 
         # All points of all lines at once, each from a guess between the solutions at the ends.
         shares = np.linspace(0.0, 1.0, _WAYPOINTS + 1)[:, None, None]
@@ -193,9 +194,9 @@ class ToolPath:
         )
         guesses = (start_qpos + shares * (end_qpos - start_qpos)).reshape(-1, start_qpos.shape[1])
         solutions, is_solved = self._inverse(
-            np.tile(rows, len(shares)), guesses, points.reshape(-1, 3), facing.reshape(-1, 4)
+            np.tile(env_ids, len(shares)), guesses, points.reshape(-1, 3), facing.reshape(-1, 4)
         )
-        line = solutions.reshape(len(shares), len(rows), -1)
+        line = solutions.reshape(len(shares), len(env_ids), -1)
         line[0] = start_qpos
         is_solved = is_solved.reshape(len(shares), -1)
         is_solved[0] = True
@@ -207,20 +208,22 @@ class ToolPath:
             qpos = start_qpos[retried]
             for i in range(1, len(shares)):
                 qpos, is_solved[i, retried] = self._inverse(
-                    rows[retried], qpos, points[i, retried], facing[i, retried]
+                    env_ids[retried], qpos, points[i, retried], facing[i, retried]
                 )
                 line[i, retried] = qpos
             is_reachable[retried] = is_solved[:, retried].all(axis=0) & _smooth(line[:, retried])
         for k in np.flatnonzero(~is_reachable):
-            row = int(rows[k])
-            self.obstacles[row] = self._obstacle(row, line[:, k], is_solved[:, k], points[:, k])
+            env_id = int(env_ids[k])
+            self.obstacles[env_id] = self._obstacle(
+                env_id, line[:, k], is_solved[:, k], points[:, k]
+            )
         return np.moveaxis(line, 0, 1)[..., self._solver.moving], is_reachable
 
-    def _obstacle(self, row: int, line: F64, is_solved: NDArray[np.bool_], points: F64) -> str:
+    def _obstacle(self, env_id: int, line: F64, is_solved: NDArray[np.bool_], points: F64) -> str:
         """Return where a line ends in an environment, and which joint or distance ends it.
 
         Args:
-            row: The environment.
+            env_id: The environment.
             line: (W + 1, D) joint positions.
             is_solved: (W + 1,) whether they reach the line.
             points: (W + 1, 3) points on it.
@@ -237,7 +240,7 @@ class ToolPath:
             joint = int(np.argmax(leaps[last]))
             leap = f"{leaps[last, joint]:.2f} {units[joint]}"
             return f"{where} {names[joint]} would leap by {leap}"
-        ids = np.array([row])
+        ids = np.array([env_id])
         low, high = (limit[:, 0] for limit in self._solver.limits(ids))
         qpos = line[last + 1, moving]
         distance_to_limit = np.minimum(qpos - low, high - qpos)
@@ -251,18 +254,16 @@ class ToolPath:
         return f"{where} {', '.join(reasons)}"
 
     def _inverse(
-        self, rows: NDArray[np.int64], seed: F64, pos: F64, quat: F64
+        self, env_ids: EnvIds, seed: F64, pos: F64, quat: F64
     ) -> tuple[F64, NDArray[np.bool_]]:
         """Return (n, D) joint positions for poses of the tool, and (n,) whether they reach them."""
         orientation = None if self._is_free else quat
-        return self._solver.inverse(seed, pos, orientation, rows, restarts=False)
+        return self._solver.inverse(seed, pos, orientation, env_ids, restarts=False)
 
-    def _timing(
-        self, rows: NDArray[np.int64], pos: F64, quat: F64, line: F64, speed: float
-    ) -> list[F64]:
+    def _timing(self, env_ids: EnvIds, pos: F64, quat: F64, line: F64, speed: float) -> list[F64]:
         """Return for each line the shares of it, up to 1, at the next control steps."""
-        turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(self.path_quat[rows])))
-        way = length(pos - self.path_pos[rows])
+        turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(self.path_quat[env_ids])))
+        way = length(pos - self.path_pos[env_ids])
         angle = length(turn)
         # Derivatives of the joints' path with respect to the path parameter, which is 0 to 1.
         slope = (np.abs(np.diff(line, axis=1)) * _WAYPOINTS).max(axis=1)
@@ -283,7 +284,7 @@ class ToolPath:
         is_moving = (way > 1e-6) | (angle > 1e-6)
         return [
             self._profile(velocity[k], acceleration[k]) if is_moving[k] else np.ones(1)
-            for k in range(len(rows))
+            for k in range(len(env_ids))
         ]
 
     def _profile(self, velocity: float, acceleration: float) -> F64:
@@ -304,18 +305,18 @@ class ToolPath:
         times = np.minimum(np.arange(1, count + 1) * self._dt, trajectory.duration)
         return np.array([trajectory.at_time(float(time))[0][0] for time in times])
 
-    def stop(self, row: int) -> None:
+    def stop(self, env_id: int) -> None:
         """Stay at this place of the path in an environment."""
-        self._path[row, 0] = self._last_qpos[row]
-        self.steps[row] = 1
-        self._step[row] = 1
-        self._goal_pos[row] = self.pos[row]
-        self._goal_quat[row] = self.quat[row]
+        self._path[env_id, 0] = self._last_qpos[env_id]
+        self.steps[env_id] = 1
+        self._step[env_id] = 1
+        self._goal_pos[env_id] = self.pos[env_id]
+        self._goal_quat[env_id] = self.quat[env_id]
 
     # -- moving, in every control step -------------------------------------------------------------
 
-    def asked(self) -> NDArray[np.bool_]:
-        """(N,) whether all of the path was asked for."""
+    def is_at_end(self) -> NDArray[np.bool_]:
+        """(N,) whether the last position of the path has been commanded."""
         return self._step >= self.steps
 
     def remaining(self) -> tuple[F64, F64]:
@@ -328,16 +329,16 @@ class ToolPath:
         """(N,) whether the tool hardly moves."""
         return self._speed < 2.5 * _RESTING_SPEED
 
-    def action(self, arriving: NDArray[np.bool_]) -> F64:
-        """(N, A) the action for the next control step, which takes the tool along its path.
+    def advance(self, corrects: NDArray[np.bool_]) -> F64:
+        """Go one control step along the path, and return the action (N, A) that commands it.
 
         Args:
-            arriving: (N,) where an error that remains at the end of the path is to be corrected.
+            corrects: (N,) where an error that remains at the end of the path is to be corrected.
         """
-        is_over = self.asked()
-        self._correct(arriving & is_over & (self._speed < _RESTING_SPEED))
+        is_at_end = self.is_at_end()
+        self._correct(corrects & is_at_end & (self._speed < _RESTING_SPEED))
         step = np.minimum(self._step, self.steps - 1)
-        self._step += ~is_over
+        self._step += ~is_at_end
         self._last_qpos = self._path[np.arange(self._count), step]
         qpos = self._arm.asset.read_qpos().copy()
         qpos[:, self._solver.moving] = self._last_qpos

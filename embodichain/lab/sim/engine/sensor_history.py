@@ -72,18 +72,18 @@ class SensorHistory:
             steps: (n, s, nsensordata) ``sensordata`` in s physics steps.
             env_ids: (n,) the environments that stepped, None for all.
         """
-        rows: Any = ALL if env_ids is None else env_ids
+        where: Any = ALL if env_ids is None else env_ids
         recorded: Any = steps
         for (start, stop, depth), values in self._parts.items():
             new = recorded[:, -depth:, start:stop]
             missing = depth - new.shape[1]
             if missing:
                 # Before its first step, an environment has that step's readings.
-                fresh = self._fresh[rows][:, None, None]
-                old = np.where(fresh, new[:, :1], values[rows][:, -missing:])
+                fresh = self._fresh[where][:, None, None]
+                old = np.where(fresh, new[:, :1], values[where][:, -missing:])
                 new = np.concatenate([old, new], axis=1)
-            values[rows] = new
-        self._fresh[rows] = False
+            values[where] = new
+        self._fresh[where] = False
 
     def state_dict(self) -> dict[str, Any]:
         """What is kept (copies)."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
     from embodichain.lab.sim.engine.api import Columns, Engine, EnvIndex
-    from embodichain.lab.sim.objects.host import Host
+    from embodichain.lab.sim.objects.sim_context import SimContext
     from embodichain.utils.array_types import Floats
 
 __all__ = ["Articulation"]
@@ -58,7 +58,7 @@ class Articulation(FrameReads):
 
     cfg: ArticulationCfg
 
-    def __init__(self, cfg: ArticulationCfg, parsed: ParsedArticulation, host: Host) -> None:
+    def __init__(self, cfg: ArticulationCfg, parsed: ParsedArticulation, host: SimContext) -> None:
         super().__init__(cfg, parsed.uid, host)
         self.parsed = parsed
         self.joint_names = self.all_joint_names = list(parsed.joint_names)
@@ -470,7 +470,7 @@ class Articulation(FrameReads):
             if value is None:
                 continue
             array, ids = self._checked(value, len(joints), env_ids, name, finite=False)
-            if not (self.host.arrays.host(array) >= 0).all():
+            if not (self.sim.arrays.host(array) >= 0).all():
                 raise ValueError(f"{self.uid}: {name} must not be negative or NaN")
             self.drives.write(name, array, ids, joints)
 
@@ -524,7 +524,7 @@ class Articulation(FrameReads):
         """Set link masses (n, k) in kg; each link's inertia scales with its mass."""
         bodies = self._bodies_of(link_names)
         new, ids = self._checked(mass, len(bodies), env_ids, "mass")
-        if (least := self.host.arrays.host(new).min(initial=np.inf)) <= 0:
+        if (least := self.sim.arrays.host(new).min(initial=np.inf)) <= 0:
             raise ValueError(f"{self.uid}: masses must be positive, got {least}")
         self.write_mass(new, bodies, ids)
 

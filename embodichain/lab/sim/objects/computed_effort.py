@@ -44,7 +44,7 @@ class ComputedEfforts:
         self._joints = joints
         self._engine = asset.engine
         model = self._engine.model
-        dofs = np.asarray(asset.entity.dof_adr, np.int64)[joints]
+        dofs = np.asarray(asset.index.dof_adr, np.int64)[joints]
         model_joints = model.dof_jntid[dofs]
         self._dofs = columns_of(dofs)
         self._limited: NDArray[np.bool_] = model.jnt_actfrclimited[model_joints] != 0

@@ -116,7 +116,7 @@ class Drives:
     def __init__(self, handle: Handle[EntityIndex], parsed: ParsedArticulation) -> None:
         self.parsed = parsed
         self._handle = handle
-        self._arrays = handle.host.arrays
+        self._arrays = handle.sim.arrays
         count = handle.num_instances
         for name in (*GAINS, "joint_damping"):
             setattr(self, name, self._arrays.put(np.tile(getattr(parsed, name), (count, 1))))
@@ -205,8 +205,8 @@ class Drives:
         if self._mixes:
             where = (slice(None), driven)
             control = control / self._scale[driven]
-            lead = self._mixed(np.zeros_like(control), where)
-            control = np.where(self.stiffness[where] > 0, control - lead, target[where])
+            of_velocity = self._mixed(np.zeros_like(control), where)
+            control = np.where(self.stiffness[where] > 0, control - of_velocity, target[where])
         target[:, driven] = control
         return target
 

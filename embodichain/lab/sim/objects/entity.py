@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ObjectBaseCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import Engine, EnvIndex
-    from embodichain.lab.sim.objects.host import Host
+    from embodichain.lab.sim.objects.sim_context import SimContext
     from embodichain.utils.array_types import Floats
 
 __all__ = ["BatchEntity", "Handle", "TensorRead", "TensorReads"]
@@ -41,15 +41,21 @@ class Handle(Generic[Index]):
         host: The simulation.
 
     Attributes:
+        sim: The simulation.
         num_instances: N.
         device: Device of the tensors that reads return.
     """
 
-    def __init__(self, uid: str, host: Host) -> None:
+    def __init__(self, uid: str, host: SimContext) -> None:
         self.uid = uid
-        self.host = host
+        self.sim = host
         self.num_instances = host.num_envs
         self.device = host.device
+
+    @property
+    def host(self) -> SimContext:
+        """The older name of `sim`."""
+        return self.sim
 
     def bind(self, engine: Engine, index: Index) -> None:
         """Set the engine and the indices in the compiled model. Called once, by the simulation."""
@@ -63,7 +69,7 @@ class Handle(Generic[Index]):
         Raises:
             RuntimeError: If the simulation was destroyed.
         """
-        return self.host.engine
+        return self.sim.engine
 
     @cached_property
     def index(self) -> Index:
@@ -72,7 +78,7 @@ class Handle(Generic[Index]):
         Raises:
             RuntimeError: If the handle was removed from the scene, or the simulation destroyed.
         """
-        self.host.compile()  # calls `bind`
+        self.sim.compile()  # calls `bind`
         if "index" not in self.__dict__:
             raise RuntimeError(f"{self.uid} was removed from the scene before it was compiled")
         return self.__dict__["index"]
@@ -88,7 +94,7 @@ class Handle(Generic[Index]):
 
         Users' values are copied to the simulation's device.
         """
-        arrays = self.host.arrays
+        arrays = self.sim.arrays
         if arrays.on_device and is_host(values):
             values = arrays.of(as_tensor(values).to(arrays.device))
         ids = as_env_ids(env_ids, self.num_instances)
@@ -137,7 +143,7 @@ class BatchEntity(Handle["EntityIndex"]):
         host: The simulation.
     """
 
-    def __init__(self, cfg: ObjectBaseCfg, uid: str, host: Host) -> None:
+    def __init__(self, cfg: ObjectBaseCfg, uid: str, host: SimContext) -> None:
         super().__init__(uid, host)
         self.cfg = cfg
         self._motions: dict[BodyFrames, BodyMotion] = {}
@@ -151,12 +157,12 @@ class BatchEntity(Handle["EntityIndex"]):
 
     @property
     def entity(self) -> EntityIndex:
-        """The same as `index`: columns and bodies in the compiled model."""
+        """The older name of `index`."""
         return self.index
 
     def reset(self, env_ids: Any = None) -> None:
         """Reset the entity to its configured root pose, joints and targets, at zero velocity."""
-        self.host.reset_objects_state(env_ids, only=(self.uid,))
+        self.sim.reset_objects_state(env_ids, only=(self.uid,))
 
     @cached_property
     def row_columns(self) -> NDArray[np.int64]:

@@ -13,7 +13,7 @@ from embodichain.utils.arrays import to_tensor
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import LightCfg
     from embodichain.lab.sim.engine.api import EnvIndex
-    from embodichain.lab.sim.objects.host import Host
+    from embodichain.lab.sim.objects.sim_context import SimContext
     from embodichain.utils.array_types import Floats
 
 __all__ = ["Light"]
@@ -35,7 +35,7 @@ class Light(Handle[int]):
         host: The simulation.
     """
 
-    def __init__(self, cfg: LightCfg, uid: str, host: Host) -> None:
+    def __init__(self, cfg: LightCfg, uid: str, host: SimContext) -> None:
         super().__init__(uid, host)
         self.cfg = cfg
         count = self.num_instances

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import Engine, EnvIndex
-    from embodichain.lab.sim.objects.host import Host
+    from embodichain.lab.sim.objects.sim_context import SimContext
     from embodichain.utils.array_types import Floats
 
 __all__ = ["RigidObject"]
@@ -49,7 +49,7 @@ class RigidObject(BatchEntity):
 
     cfg: RigidObjectCfg
 
-    def __init__(self, cfg: RigidObjectCfg, uid: str, host: Host) -> None:
+    def __init__(self, cfg: RigidObjectCfg, uid: str, host: SimContext) -> None:
         super().__init__(cfg, uid, host)
         self._data = RigidBodyData(self)
         count = self.num_instances
@@ -281,7 +281,7 @@ class RigidObject(BatchEntity):
         rows = self._rows(ids)
         mass = rows_at(variants.mass, chosen)
         inertia = rows_at(variants.inertia, chosen)
-        put = self.host.arrays.of
+        put = self.sim.arrays.of
         self._variant[rows] = put(chosen)
         self._mass0[rows] = put(mass)
         self._inertia[rows] = put(inertia)
@@ -486,7 +486,7 @@ class RigidObject(BatchEntity):
         """
         self._need_dynamic("set_mass")
         new, ids = self._checked(np.reshape(mass, (-1, 1)), 1, env_ids, "mass")
-        if (least := self.host.arrays.host(new).min(initial=np.inf)) <= 0:
+        if (least := self.sim.arrays.host(new).min(initial=np.inf)) <= 0:
             raise ValueError(f"{self.uid}: mass must be positive, got {least}")
         self.write_mass(new[:, 0], ids)
 
@@ -502,7 +502,7 @@ class RigidObject(BatchEntity):
         """
         self._need_dynamic("set_inertia")
         new, ids = self._checked(inertia, 3, env_ids, "inertia")
-        moments = self.host.arrays.host(new)
+        moments = self.sim.arrays.host(new)
         largest = moments.max(axis=1)
         if (moments <= 0).any() or (2 * largest > moments.sum(axis=1) + 1e-12).any():
             raise ValueError(

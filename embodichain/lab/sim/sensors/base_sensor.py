@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.compiler.sensing.sensor_plans import SceneNames, SensorPlan
     from embodichain.lab.sim.engine.api import Engine, EnvIndex
-    from embodichain.lab.sim.objects.host import Host
+    from embodichain.lab.sim.objects.sim_context import SimContext
     from embodichain.utils.array_types import Floats
     from embodichain.utils.errors import Problem
 
@@ -96,7 +96,7 @@ class BaseSensor(Handle[SensorIndex]):
     config: ClassVar[type[SensorCfg]] = SensorCfg
     of_positions: ClassVar[bool] = False
 
-    def __init__(self, plan: SensorPlan, host: Host) -> None:
+    def __init__(self, plan: SensorPlan, host: SimContext) -> None:
         super().__init__(plan.uid, host)
         self.plan = plan
         self.cfg: SensorCfg = plan.cfg
@@ -182,9 +182,7 @@ class BaseSensor(Handle[SensorIndex]):
 
     @cached_property
     def _sampler(self) -> Sampler:
-        return Sampler(
-            self.engine, self.host.arrays, self.measure, self.cfg.rate, self.of_positions
-        )
+        return Sampler(self.engine, self.sim.arrays, self.measure, self.cfg.rate, self.of_positions)
 
     # -- for tensors ---------------------------------------------------------------------------
 

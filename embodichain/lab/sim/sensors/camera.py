@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.sensing.sensor_plans import SceneNames, SensorPlan
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
-    from embodichain.lab.sim.objects.host import Host
+    from embodichain.lab.sim.objects.sim_context import SimContext
     from embodichain.lab.sim.sensors.sampling import Readings
     from embodichain.utils.array_types import Floats
     from embodichain.utils.errors import Problem
@@ -113,7 +113,7 @@ class Camera(BaseSensor):
     )
     index: CameraIndex
 
-    def __init__(self, plan: SensorPlan, host: Host) -> None:
+    def __init__(self, plan: SensorPlan, host: SimContext) -> None:
         super().__init__(plan, host)
         if not isinstance(plan.cfg, CameraCfg):
             raise TypeError(f"{plan.uid}: expected the config of a camera, got {plan.cfg!r}")
@@ -194,13 +194,13 @@ class Camera(BaseSensor):
     def measure(self, env_ids: EnvIndex | None) -> Readings:
         """Draw its images, (n, H, W, ...) each."""
         self.was_drawn = True
-        shots = self._draw_on_device() if self.host.arrays.on_device else self._draw(env_ids)
+        shots = self._draw_on_device() if self.sim.arrays.on_device else self._draw(env_ids)
         return tuple(self._image(name, shots) for name in self.reads)
 
     def _draw(self, env_ids: EnvIndex | None) -> list[_Shot]:
         views = [self._view(camera) for camera in self.index.ids]
         try:
-            pictures = self.host.draw(views, env_ids)
+            pictures = self.sim.draw(views, env_ids)
         except RenderError as error:
             raise RenderError(f"camera {self.uid!r}: {error}") from error
 
@@ -340,14 +340,14 @@ class Camera(BaseSensor):
             ValueError: If the shape does not match ``env_ids`` or a value is not finite.
         """
         ids = as_env_ids(env_ids, self.num_instances)
-        rows = self.num_instances if ids is None else len(ids)
+        count = self.num_instances if ids is None else len(ids)
         what = f"{self.uid}: pose"
         shape = tuple(np.shape(pose))
         if len(shape) == 3 and shape[1:] == (4, 4):
-            flat = as_rows(np.asarray(pose).reshape(shape[0], 16), rows, 16, what)
+            flat = as_rows(np.asarray(pose).reshape(shape[0], 16), count, 16, what)
             array = matrix_to_pose(flat.reshape(-1, 4, 4))
         else:
-            array = as_rows(pose, rows, 7, what)
+            array = as_rows(pose, count, 7, what)
         self.write_local_pose(array[:, :3], normalize_quat(array[:, 3:]), ids)
 
     def look_at(self, eye: Any, target: Any, up: Any = None, env_ids: Any = None) -> None:
@@ -363,12 +363,12 @@ class Camera(BaseSensor):
             ValueError: If a shape does not match ``env_ids``, or an eye is at its target.
         """
         ids = as_env_ids(env_ids, self.num_instances)
-        rows = self.num_instances if ids is None else len(ids)
+        count = self.num_instances if ids is None else len(ids)
         if up is None:
             up = (0.0, 0.0, 1.0)
-        eye = as_rows(eye, rows, 3, f"{self.uid}: eye", shared=True)
-        target = as_rows(target, rows, 3, f"{self.uid}: target", shared=True)
-        up = as_rows(up, rows, 3, f"{self.uid}: up", shared=True)
+        eye = as_rows(eye, count, 3, f"{self.uid}: eye", shared=True)
+        target = as_rows(target, count, 3, f"{self.uid}: target", shared=True)
+        up = as_rows(up, count, 3, f"{self.uid}: up", shared=True)
         self.write_local_pose(eye, matrix_to_quat(look_at(eye, target, up)), ids)
 
     # -- lens ----------------------------------------------------------------------------------
@@ -386,7 +386,7 @@ class Camera(BaseSensor):
 
     def _to_arrays(self, values: Floats) -> Floats:
         """Put values of the model where arrays are; those that all share are on the host."""
-        return self.host.arrays.constant(values) if is_host(values) else values
+        return self.sim.arrays.constant(values) if is_host(values) else values
 
     def write_intrinsics(self, lens: Floats, env_ids: EnvIndex | None, side: int = 0) -> None:
         """Set fx, fy, cx, cy (n, 4) in pixels from a checked array.
@@ -422,11 +422,11 @@ class Camera(BaseSensor):
 
     def _set_intrinsics(self, intrinsics: Any, env_ids: Any, side: int) -> None:
         ids = as_env_ids(env_ids, self.num_instances)
-        rows = self.num_instances if ids is None else len(ids)
+        count = self.num_instances if ids is None else len(ids)
         array = np.asarray(intrinsics, np.float64)
         if array.shape[-2:] == (3, 3):
             array = array[..., (0, 1, 0, 1), (0, 1, 2, 2)]
-        lens = as_rows(array, rows, 4, f"{self.uid}: intrinsics", shared=True)
+        lens = as_rows(array, count, 4, f"{self.uid}: intrinsics", shared=True)
         if (lens[:, :2] <= 0).any():
             raise ValueError(f"{self.uid}: fx and fy must be positive, got {lens[:, :2].tolist()}")
         self.write_intrinsics(lens, ids, side)
@@ -456,7 +456,7 @@ class StereoCamera(Camera):
         "disparity",
     )
 
-    def __init__(self, plan: SensorPlan, host: Host) -> None:
+    def __init__(self, plan: SensorPlan, host: SimContext) -> None:
         super().__init__(plan, host)
         if not isinstance(plan.cfg, StereoCameraCfg):
             raise TypeError(f"{plan.uid}: expected the config of a stereo camera")
@@ -518,8 +518,8 @@ class StereoCamera(Camera):
 
 
 def _pose_tensor(pose: tuple[Floats, Floats], to_matrix: bool) -> torch.Tensor:
-    rows = np.concatenate(pose, axis=1)
-    return to_tensor(pose_to_matrix(rows) if to_matrix else rows)
+    poses = np.concatenate(pose, axis=1)
+    return to_tensor(pose_to_matrix(poses) if to_matrix else poses)
 
 
 def _matrices(lens: Floats, pixel_origin: PixelOrigin) -> torch.Tensor:

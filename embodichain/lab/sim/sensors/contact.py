@@ -140,7 +140,7 @@ class ContactSensor(LastStepSensor):
         """Keep the readings of several physics steps from now on; it costs a little time."""
         if self._depth:
             return
-        self._depth = self.cfg.history_length or self.host.physics_steps_per_control
+        self._depth = self.cfg.history_length or self.sim.physics_steps_per_control
         self.engine.keep_sensors(self.index.columns, self._depth)
         self._sampler.reset(None)
 

@@ -62,9 +62,9 @@ class JointTorqueSensor(BaseSensor):
 
     def measure(self, env_ids: EnvIndex | None) -> Readings:
         """(n, joints) forces of actuators, passive forces and forces of constraints."""
-        rows = slice(None) if env_ids is None else env_ids[:, None]
+        where = slice(None) if env_ids is None else env_ids[:, None]
         fields = ("qfrc_actuator", "qfrc_passive", "qfrc_constraint")
-        return tuple(self.engine.acceleration(name)[rows, self.index.dofs] for name in fields)
+        return tuple(self.engine.acceleration(name)[where, self.index.dofs] for name in fields)
 
     def read_torque(self) -> Floats:
         """(N, n) sum of the other three."""

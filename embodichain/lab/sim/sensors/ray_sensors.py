@@ -218,13 +218,13 @@ class RayCaster(BaseSensor):
 
     def _mount(self, env_ids: EnvIndex | None) -> tuple[Floats, Floats]:
         """(n, 3) origin and (n, 3, 3) axes of the frame that `alignment` chooses."""
-        rows = slice(None) if env_ids is None else env_ids
-        position = self._frame.positions(self.engine)[rows]
-        axes = self._frame.axes(self.engine)[rows]
+        where = slice(None) if env_ids is None else env_ids
+        position = self._frame.positions(self.engine)[where]
+        axes = self._frame.axes(self.engine)[where]
         if self.cfg.alignment == "yaw":
             axes = _heading(axes)
         elif self.cfg.alignment == "world":
-            axes = np.broadcast_to(self.host.arrays.constant(np.eye(3)), axes.shape)
+            axes = np.broadcast_to(self.sim.arrays.constant(np.eye(3)), axes.shape)
         return position, axes
 
     def _cast(self, env_ids: EnvIndex | None, raised: float = 0.0, normal: bool = False) -> _Cast:

@@ -101,9 +101,9 @@ class Sampler:
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Make these environments (None: all) measure at the next read."""
-        rows = slice(None) if env_ids is None else env_ids
-        self._times[rows] = np.inf
-        self._versions[rows] = -1
+        where = slice(None) if env_ids is None else env_ids
+        self._times[where] = np.inf
+        self._versions[where] = -1
         self._version = -1
 
     def state_dict(self) -> dict[str, Any]:

@@ -206,10 +206,10 @@ class Chain:
         """
         body_pos, body_quat, jnt_pos, jnt_axis, qpos0, *of_tool = fields
         model = self._engine.model
-        rows = max(len(values) for values in fields)
+        count = max(len(values) for values in fields)
         # The pose reached so far, in the frame after the last joint.
-        turn = np.tile(np.eye(3)[..., None], rows)
-        shift = np.zeros((3, rows))
+        turn = np.tile(np.eye(3)[..., None], count)
+        shift = np.zeros((3, count))
         transforms: list[F64] = []
         for body in self._bodies:
             shift = shift + matmul(turn, body_pos[:, body].T)
@@ -220,20 +220,20 @@ class Chain:
                 # Where the axis of a slide lies makes no difference.
                 anchor = jnt_pos[:, joint].T if is_hinge else np.zeros((3, 1))
                 rotation = matmul(turn, to_axis)
-                transforms.append(_pose(rotation, shift + matmul(turn, anchor), rows))
+                transforms.append(_pose(rotation, shift + matmul(turn, anchor), count))
                 turn = np.swapaxes(to_axis, 0, 1)
                 shift = matmul(turn, -anchor)
         if of_tool:
             pos, quat = (values[:, self.tool.ids] for values in of_tool)
             shift = shift + matmul(turn, pos.T)
             turn = matmul(turn, np.moveaxis(quat_to_matrix(quat), 0, -1))
-        transforms.append(_pose(turn, shift, rows))
+        transforms.append(_pose(turn, shift, count))
         return _Constants(np.stack(transforms), qpos0[:, self._qpos_adr].T)
 
 
-def _pose(rotation: F64, position: F64, rows: int) -> F64:
-    """(3, 4, rows) of a rotation (3, 3, rows or 1) and a position (3, rows or 1)."""
-    pose = np.empty((3, 4, rows))
+def _pose(rotation: F64, position: F64, count: int) -> F64:
+    """(3, 4, count) of a rotation (3, 3, count or 1) and a position (3, count or 1)."""
+    pose = np.empty((3, 4, count))
     pose[:, :3] = rotation
     pose[:, 3] = position
     return pose

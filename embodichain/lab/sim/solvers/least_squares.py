@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.solvers.chain import Frames
 
 __all__ = [
+    "IkTargets",
     "LeastSquares",
-    "Target",
     "clamped",
     "eliminated",
     "joint_step",
@@ -55,8 +55,8 @@ _ROUNDS = 3
 
 
 @dataclass(frozen=True)
-class Target:
-    """Poses in the frame of the root.
+class IkTargets:
+    """Poses that tools are to have, in the frames of their roots.
 
     Attributes:
         position: (3, n) metres.
@@ -67,18 +67,18 @@ class Target:
     rotation: F64 | None
 
     @classmethod
-    def of(cls, pos: F64, quat: F64 | None) -> Target:
+    def of(cls, pos: F64, quat: F64 | None) -> IkTargets:
         """The targets of positions (n, 3) and orientations (n, 4) wxyz."""
         rotation = None if quat is None else np.moveaxis(quat_to_matrix(quat), 0, -1)
         return cls(contiguous(pos.T), rotation)
 
-    def rows(self, which: NDArray[np.int64]) -> Target:
+    def pick(self, which: NDArray[np.int64]) -> IkTargets:
         """The targets of some of the environments."""
         rotation = None if self.rotation is None else self.rotation[..., which]
-        return Target(self.position[:, which], rotation)
+        return IkTargets(self.position[:, which], rotation)
 
 
-def pose_error(frames: Frames, target: Target) -> F64:
+def pose_error(frames: Frames, target: IkTargets) -> F64:
     """(6, n) from the tool to the target: metres, then a rotation vector; (3, n) without rotation.
 
     The rotation vector is the logarithm of R_target R_tool^T.
@@ -127,18 +127,18 @@ def joint_step(
     is_beyond = (step < lowest) | (step > highest)
     is_fixed = is_beyond
     for _ in range(_ROUNDS - 1):
-        rows: Any = slice(None)  # on a device all, where the same step is found again
+        beyond: Any = slice(None)  # on a device all, where the same step is found again
         if is_host(step):
-            rows = np.flatnonzero(is_beyond.any(axis=0))
-            if not len(rows):
+            beyond = np.flatnonzero(is_beyond.any(axis=0))
+            if not len(beyond):
                 break
-        at_bound = clamped(step, lowest, highest)[:, rows]
-        columns = jacobian[..., rows]
-        motion = np.where(is_fixed[:, rows], at_bound, null_motion[:, rows])
-        remaining = error[:, rows] - times(columns, motion)
+        at_bound = clamped(step, lowest, highest)[:, beyond]
+        columns = jacobian[..., beyond]
+        motion = np.where(is_fixed[:, beyond], at_bound, null_motion[:, beyond])
+        remaining = error[:, beyond] - times(columns, motion)
         # A fixed joint has no column: the others make up for it.
-        free_columns = columns * ~is_fixed[:, rows]
-        step[:, rows] = motion + _solved(remaining, free_columns, damping[rows])
+        free_columns = columns * ~is_fixed[:, beyond]
+        step[:, beyond] = motion + _solved(remaining, free_columns, damping[beyond])
         is_beyond = ((step < lowest) | (step > highest)) & ~is_fixed
         is_fixed = is_fixed | is_beyond
     return clamped(step, lowest, highest)
@@ -230,7 +230,7 @@ class LeastSquares:
     def solve(
         self,
         start: F64,
-        target: Target,
+        target: IkTargets,
         low: F64,
         high: F64,
         restarts: int,
@@ -254,29 +254,29 @@ class LeastSquares:
         best = start.copy()
         shortest = np.full(count, np.inf)
         reached = np.zeros(count, np.bool_)
-        rows = np.arange(count)  # where no search has succeeded yet
+        unsolved = np.arange(count)  # where no search has succeeded yet
         for point in self._points(restarts):
-            ids = rows if env_ids is None else env_ids[rows]
-            lowest = low[:, rows]
-            highest = high[:, rows]
-            qpos = self._initial(start[:, rows], point, lowest, highest)
+            ids = unsolved if env_ids is None else env_ids[unsolved]
+            lowest = low[:, unsolved]
+            highest = high[:, unsolved]
+            qpos = self._initial(start[:, unsolved], point, lowest, highest)
             qpos, distance, done = self._search(
-                qpos, target.rows(rows), low=lowest, high=highest, ids=ids
+                qpos, target.pick(unsolved), low=lowest, high=highest, ids=ids
             )
-            is_better = distance < shortest[rows]
-            best[:, rows[is_better]] = qpos[:, is_better]
-            shortest[rows[is_better]] = distance[is_better]
-            best[:, rows[done]] = qpos[:, done]
-            reached[rows[done]] = True
-            rows = rows[~done]
-            if not len(rows):
+            is_better = distance < shortest[unsolved]
+            best[:, unsolved[is_better]] = qpos[:, is_better]
+            shortest[unsolved[is_better]] = distance[is_better]
+            best[:, unsolved[done]] = qpos[:, done]
+            reached[unsolved[done]] = True
+            unsolved = unsolved[~done]
+            if not len(unsolved):
                 break
         return best, reached
 
     def solve_all(
         self,
         start: F64,
-        target: Target,
+        target: IkTargets,
         low: F64,
         high: F64,
         restarts: int,
@@ -303,14 +303,14 @@ class LeastSquares:
         reached = []
         ids = np.arange(count) if env_ids is None else env_ids
         for part in parts:
-            rows = np.tile(np.arange(count), len(part))
+            env_of_search = np.tile(np.arange(count), len(part))
             starts = [self._initial(start.copy(), point, low, high) for point in part]
             qpos, _, done = self._search(
                 np.concatenate(starts, axis=1),
-                target.rows(rows),
-                low=low[:, rows],
-                high=high[:, rows],
-                ids=ids[rows],
+                target.pick(env_of_search),
+                low=low[:, env_of_search],
+                high=high[:, env_of_search],
+                ids=ids[env_of_search],
             )
             solutions.append(np.moveaxis(qpos.reshape(len(qpos), len(part), count), 1, 0))
             reached.append(done.reshape(len(part), count))
@@ -331,7 +331,7 @@ class LeastSquares:
         return qpos
 
     def _search(
-        self, qpos: F64, target: Target, *, low: F64, high: F64, ids: EnvIndex
+        self, qpos: F64, target: IkTargets, *, low: F64, high: F64, ids: EnvIndex
     ) -> tuple[F64, F64, NDArray[np.bool_]]:
         """Run one search each, from positions `qpos`, which are changed.
 
@@ -344,7 +344,7 @@ class LeastSquares:
         solution = qpos.copy()
         distance = np.empty(count)
         done = np.zeros(count, np.bool_)
-        rows = np.arange(count)  # whose search goes on
+        unfinished = np.arange(count)  # whose search goes on
         earlier_length = np.full(count, np.inf)
         for iteration in range(self._iterations + 1):
             frames = self._chain.frames(qpos, ids)
@@ -371,19 +371,19 @@ class LeastSquares:
             elif iteration % _PATIENCE == 0 and lean is None:
                 is_over |= length > _PROGRESS * earlier_length
                 earlier_length = length
-            solution[:, rows[is_over]] = qpos[:, is_over]
-            distance[rows[is_over]] = length[is_over]
-            done[rows[is_over]] = reached[is_over]
+            solution[:, unfinished[is_over]] = qpos[:, is_over]
+            distance[unfinished[is_over]] = length[is_over]
+            done[unfinished[is_over]] = reached[is_over]
 
             goes_on = ~is_over
             if not goes_on.any():
                 break
             qpos[moving] = moving_qpos + step
             if not goes_on.all():
-                rows = rows[goes_on]
+                unfinished = unfinished[goes_on]
                 ids = ids[goes_on]
                 qpos = qpos[:, goes_on]
-                target = target.rows(goes_on)
+                target = target.pick(goes_on)
                 low = low[:, goes_on]
                 high = high[:, goes_on]
                 earlier_length = earlier_length[goes_on]

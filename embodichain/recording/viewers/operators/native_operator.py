@@ -172,4 +172,4 @@ class NativeOperator:
         uid = self._teleop.robot_uid
         if uid is None or uid not in self._env.sim.robots:
             return set()
-        return set(map(int, self._env.sim.robots[uid].entity.body_ids))
+        return set(map(int, self._env.sim.robots[uid].index.body_ids))

@@ -145,7 +145,7 @@ def follow(env, path, arm, steps):
     for _ in range(steps):
         path.measure()
         action = env.action_manager.hold()
-        action[:, arm.columns] = path.action(np.zeros(N, np.bool_))
+        action[:, arm.columns] = path.advance(np.zeros(N, np.bool_))
         env.step(torch.from_numpy(action.astype(np.float32)))
         places.append(path.path_pos.copy())
         joints.append(arm.term.solver.inverse(env.robot.read_qpos(), path.path_pos, path.path_quat))
@@ -179,7 +179,7 @@ def test_a_path_is_a_straight_line_within_the_limits(built):
     assert (np.abs(np.diff(joints, axis=0)).max(axis=(0, 1)) / dt <= arm.term.joint_speeds).all()
     speeds = np.diff(share, axis=0) * np.linalg.norm(shift) / dt
     assert np.abs(np.diff(speeds, axis=0)).max() / dt <= 5.5
-    assert path.asked().all()
+    assert path.is_at_end().all()
 
 
 def test_a_slower_path_takes_longer(built):
@@ -207,7 +207,7 @@ def test_what_is_missing_at_the_end_is_corrected(built):
     for _ in range(60):
         path.measure()
         action = env.action_manager.hold()
-        action[:, arm.columns] = path.action(np.ones(N, np.bool_))
+        action[:, arm.columns] = path.advance(np.ones(N, np.bool_))
         env.step(torch.from_numpy(action.astype(np.float32)))
     path.measure()
     assert sagging.min() > 0.005
@@ -315,7 +315,7 @@ def test_a_redundant_arm_follows_a_line_without_leaps(built):
     for _ in range(int(path.steps.max())):
         path.measure()
         action = env.action_manager.hold()
-        action[:, arm.columns] = path.action(np.zeros(N, np.bool_))
+        action[:, arm.columns] = path.advance(np.zeros(N, np.bool_))
         env.step(torch.from_numpy(action.astype(np.float32)))
         now = env.robot.drives.read_target_qpos()[:, :7]
         assert (np.abs(now - before) <= arm.term.joint_speeds * env.step_dt + 1e-6).all()
@@ -357,7 +357,7 @@ def test_planning_does_not_depend_on_the_number_of_environments(built):
         assert path.plan(rows, path.pos + shifts, path.quat, 1.0).all()
         for _ in range(10):
             path.measure()
-            action = path.action(np.zeros(count, np.bool_))
+            action = path.advance(np.zeros(count, np.bool_))
         found.append((path.steps[:2].copy(), action[:2], path.path_pos[:2]))
     for many, few in zip(*found, strict=True):
         assert np.array_equal(many, few)

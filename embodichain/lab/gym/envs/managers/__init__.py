@@ -6,8 +6,8 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "action_manager": ["ActionManager"],
+        "random_managers": ["CommandManager", "EventManager"],
         "terms.check": ["check_terms"],
-        "drawing": ["CommandManager", "EventManager"],
         "manager": ["CurriculumManager"],
         "observation_manager": ["ObservationManager"],
         "terms.physics_draws": ["PhysicsDraw"],

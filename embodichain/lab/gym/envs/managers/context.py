@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 
-__all__ = ["ActionSlices", "Commands", "Draws", "EditableTerms", "EventDraws", "TermContext"]
+__all__ = ["ActionSlices", "Commands", "EditableTerms", "EventDraws", "RandomDraws", "TermContext"]
 
 
-class Draws(Protocol):
+class RandomDraws(Protocol):
     """Random numbers for the term that is being called."""
 
     def draw(
@@ -48,7 +48,7 @@ class Draws(Protocol):
         ...
 
 
-class EventDraws(Draws, Protocol):
+class EventDraws(RandomDraws, Protocol):
     """Random numbers for event terms."""
 
     def draw_columns(
@@ -63,7 +63,7 @@ class EventDraws(Draws, Protocol):
         ...
 
 
-class Commands(Draws, Protocol):
+class Commands(RandomDraws, Protocol):
     """The commands of a task, by name."""
 
     def require(self, name: str, key: str = "command_name") -> str:

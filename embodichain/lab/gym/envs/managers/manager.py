@@ -68,7 +68,7 @@ class BuiltTerm(Generic[C]):
         cfg: Its declaration.
         spec: The function or class behind it.
         call: The function that the manager calls, with parameters bound.
-        instance: The object with the term's state, if the term is a class.
+        instance: The object with the term's state, if the term is a class, of whatever base.
         columns: The names of the columns of its value, before shapes.
     """
 

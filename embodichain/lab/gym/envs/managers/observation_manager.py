@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ObservationEntry",
     "ObservationManager",
+    "is_image",
     "no_vector",
 ]
 
@@ -51,8 +52,7 @@ class ObservationEntry:
         key: Its key path in the config.
         remembers: Whether it has a state between steps.
         scales: The factor of each column of the term's value, once there is a value; None is 1.
-        image: Whether its value is an image, known after the first one: that of a term class with
-            `returns_image`, or uint8 with three dimensions.
+        is_image: Whether its value is an image, known after the first one (`is_image`).
     """
 
     def __init__(self, env: TermContext, term: BuiltTerm[ObservationCfg], corrupted: bool) -> None:
@@ -77,7 +77,7 @@ class ObservationEntry:
         self._changes = self.remembers or self._clip is not None or self._scale is not None
         self._checked = False
         self.scales: NDArray[np.float32] | None = None
-        self.image = False
+        self.is_image = False
 
     def value(self, obs: Any, rows: Rows) -> NDArray[Any]:
         """Evaluate the term.
@@ -114,7 +114,7 @@ class ObservationEntry:
         history = self._past.append(value, rows)
         if not self._flat:
             return history
-        if self.image:  # along the channels
+        if self.is_image:  # along the channels
             return history.reshape(len(history), -1, *value.shape[2:])
         return history.reshape(len(history), -1)
 
@@ -126,8 +126,7 @@ class ObservationEntry:
     def _prepare(self, value: Any) -> None:
         """Check the shape of the first value, and build the scale and the noise that fit it."""
         self._require_rows(value)
-        has_pixels = str(value.dtype).endswith("uint8") and len(value.shape) > 3
-        self.image = has_pixels or getattr(self.term.spec.func, "returns_image", False)
+        self.is_image = is_image(self.term.spec.func, value)
         shape = tuple(value.shape[1:])
         columns = self.term.columns
         if self._scale is not None:
@@ -461,7 +460,7 @@ class ObservationManager(Manager[ObservationCfg]):
     @property
     def images(self) -> set[tuple[str, ...]]:
         """Paths of the entries that are images; complete after the first observation."""
-        return {entry.path for entry in self._entries if entry.image}
+        return {entry.path for entry in self._entries if entry.is_image}
 
     def image_terms(self, group: str = "policy") -> tuple[str, ...]:
         """Names of a group's entries that are images.
@@ -532,6 +531,20 @@ class ObservationManager(Manager[ObservationCfg]):
             self._fresh[:] = state["fresh"]
             for entry in self._entries:
                 entry.load_state_dict(state["memories"][entry.term.name])
+
+
+def is_image(source: object, value: Any) -> bool:
+    """Whether a value (N, ...) is an image, which no vector of numbers contains.
+
+    It is one if the term or the sensor that it comes from says so by `reads_images`; and if it has
+    pixels, uint8 in three dimensions, whatever it comes from.
+
+    Args:
+        source: The term's function or class, or the sensor.
+        value: Its value, an array or a tensor.
+    """
+    has_pixels = str(value.dtype).endswith("uint8") and len(value.shape) > 3
+    return has_pixels or getattr(source, "reads_images", False)
 
 
 def no_vector(group: str, images: Sequence[str]) -> str:

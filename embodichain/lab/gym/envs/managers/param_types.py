@@ -228,12 +228,6 @@ def of_command(marks: Iterable[Reference]) -> bool:
     return any(isinstance(mark, _Command) for mark in marks)
 
 
-def _reference(mark: Reference, description: str) -> Any:
-    """The type of a parameter; its description is that of parameters without their own."""
-    written = ResolvedEntity if isinstance(mark, _Entity) else str
-    return Annotated[written, mark, Field(description=description)]
-
-
 class _Entity(Reference):
     """An entity as `resolve` checks it; subclasses say which part of it a term uses."""
 
@@ -338,13 +332,38 @@ class _Command(Reference):
         return lambda: manager.values(value)
 
 
+# Entities: a config has a map, which pydantic checks as `ResolvedEntity` says; a term receives one.
+Joints = Annotated[
+    ResolvedEntity,
+    _Joints(),
+    Field(description="The robot; its joint names or control parts pick joints."),
+]
+Whole = Annotated[ResolvedEntity, _Whole(), Field(description="The entity.")]
+Links = Annotated[ResolvedEntity, _Links(), Field(description="The entity, or links of one.")]
+Body = Annotated[
+    ResolvedEntity, _Body(), Field(description="The entity, or a link, site or geom of one.")
+]
+Frames = Annotated[
+    ResolvedEntity, _Frames(), Field(description="The entity, or links, sites or geoms of one.")
+]
+Arm = Annotated[
+    ResolvedEntity,
+    _Frames(),
+    Field(
+        description="The robot; control parts or joint names pick the joints that move, a link or "
+        "site is the tool."
+    ),
+]
+
+
+def _name(mark: Reference, description: str) -> Any:
+    """The type of a name in a config that `mark` checks and resolves."""
+    return Annotated[str, mark, Field(description=description)]
+
+
+# Sensors and commands: a config has a name, which pydantic checks; a term receives the sensor, or a
+# function that reads the command, which type checkers are to see.
 if TYPE_CHECKING:
-    Whole = ResolvedEntity
-    Joints = ResolvedEntity
-    Links = ResolvedEntity
-    Body = ResolvedEntity
-    Frames = ResolvedEntity
-    Arm = ResolvedEntity
     CameraOf = Camera
     ContactOf = ContactSensor
     ContactHistoryOf = ContactSensor
@@ -358,36 +377,22 @@ if TYPE_CHECKING:
     VelocityCommand = Command
     PoseCommand = Command
 else:
-    Joints = _reference(_Joints(), "The robot; its joint names or control parts pick joints.")
-    Whole = _reference(_Whole(), "The entity.")
-    Links = _reference(_Links(), "The entity, or links of one.")
-    Body = _reference(_Body(), "The entity, or a link, site or geom of one.")
-    Frames = _reference(_Frames(), "The entity, or links, sites or geoms of one.")
-    Arm = _reference(
-        _Frames(),
-        "The robot; control parts or joint names pick the joints that move, a link or site is the "
-        "tool.",
-    )
-    CameraOf = _reference(
+    CameraOf = _name(
         _Sensor("camera", "get_intrinsics", ("stereo_camera", "Camera", "StereoCamera")),
         "A camera.",
     )
-    ContactOf = _reference(_Sensor("contact", "read_force"), "A contact sensor.")
-    ContactHistoryOf = _reference(
-        _ContactHistory("contact", "read_largest_force"), "A contact sensor."
-    )
-    ImuOf = _reference(_Sensor("imu", "read_acceleration"), "An IMU.")
-    ForceTorqueOf = _reference(_Sensor("force_torque", "read_torque"), "A force-torque sensor.")
-    HeightScanOf = _reference(_Sensor("height_scan", "read_height"), "A height scan.")
-    SensorOf = _reference(_AnySensor(), "A sensor of any kind.")
-    Command = _reference(_Command(), "The command.")
-    PlanarCommand = _reference(_Command(2), "A command whose first two columns are vx and vy, m/s.")
-    PositionCommand = _reference(
+    ContactOf = _name(_Sensor("contact", "read_force"), "A contact sensor.")
+    ContactHistoryOf = _name(_ContactHistory("contact", "read_largest_force"), "A contact sensor.")
+    ImuOf = _name(_Sensor("imu", "read_acceleration"), "An IMU.")
+    ForceTorqueOf = _name(_Sensor("force_torque", "read_torque"), "A force-torque sensor.")
+    HeightScanOf = _name(_Sensor("height_scan", "read_height"), "A height scan.")
+    SensorOf = _name(_AnySensor(), "A sensor of any kind.")
+    Command = _name(_Command(), "The command.")
+    PlanarCommand = _name(_Command(2), "A command whose first two columns are vx and vy, m/s.")
+    PositionCommand = _name(
         _Command(3), "A command whose first columns are x, y, z in the root's frame, m."
     )
-    VelocityCommand = _reference(
-        _Command(3), "A command whose columns are vx, vy (m/s) and wz (rad/s)."
-    )
-    PoseCommand = _reference(
+    VelocityCommand = _name(_Command(3), "A command whose columns are vx, vy (m/s) and wz (rad/s).")
+    PoseCommand = _name(
         _Command(7), "A command of x, y, z in m and a wxyz quaternion, in the root's frame."
     )

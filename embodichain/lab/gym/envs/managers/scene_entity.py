@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from pydantic import GetCoreSchemaHandler
@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.sim.compiler.names import FrameKind, NamedBy
+    from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.lab.sim.objects.computed_effort import ComputedEfforts
+    from embodichain.lab.sim.objects.rigid_object import RigidObject
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.utils.array_types import Floats
 
@@ -67,7 +69,7 @@ class ResolvedEntity:
     """
 
     uid: str
-    asset: Any
+    asset: Articulation | RigidObject
     joint_ids: tuple[int, ...] = ()
     joint_names: tuple[str, ...] = ()
     kind: FrameKind = "link"
@@ -85,6 +87,24 @@ class ResolvedEntity:
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """Configs contain a `SceneEntityCfg` instead."""
         return handler.generate_schema(SceneEntityCfg)
+
+    @property
+    def is_articulation(self) -> bool:
+        """Whether the entity has joints and links, as an `Articulation` or a `Robot` has."""
+        return hasattr(self.asset, "parsed")
+
+    @property
+    def articulation(self) -> Articulation:
+        """`asset` where it is known to be an articulation: where joints were picked, for example.
+
+        Its class is not checked: this is read in every step.
+        """
+        return cast("Articulation", self.asset)
+
+    @property
+    def rigid_object(self) -> RigidObject:
+        """`asset` where it is known to be a rigid object."""
+        return cast("RigidObject", self.asset)
 
     @property
     def joints(self) -> list[int] | None:
@@ -174,14 +194,14 @@ class ResolvedEntity:
             ConfigError: If several were picked.
         """
         if self.frame_name is None:
-            return link_frame(int(self.asset.entity.root_body_id))
+            return link_frame(int(self.asset.index.root_body_id))
         return frame_named(self.asset.engine.model, self.kind, self.in_model[0])
 
     @cached_property
     def frames(self) -> BodyFrames:
         """All picked links, sites or geoms, else the root, in the compiled scene."""
         if not self.frame_names:
-            root = int(self.asset.entity.root_body_id)
+            root = int(self.asset.index.root_body_id)
             return BodyFrames("link", slice(root, root + 1), slice(root, root + 1))
         return frames_named(self.asset.engine.model, self.kind, self.in_model)
 
@@ -206,7 +226,7 @@ class ResolvedEntity:
 
     @cached_property
     def _dofs(self) -> NDArray[np.int64]:
-        return np.asarray(self.asset.entity.dof_adr, np.int64)[self._columns]
+        return np.asarray(self.asset.index.dof_adr, np.int64)[self._columns]
 
     def _pick(self, values: Floats) -> Floats:
         return values if self.all_joints else values[:, self._columns]
@@ -219,16 +239,16 @@ class ResolvedEntity:
     @cached_property
     def initial_qpos(self) -> Floats:
         """(K,) initial joint positions, rad or m."""
-        return np.asarray(self.asset.parsed.init_qpos, np.float64)[self._columns]
+        return np.asarray(self.articulation.parsed.init_qpos, np.float64)[self._columns]
 
     def qpos(self) -> Floats:
         """(N, K) joint positions, rad or m; do not write to it or store it."""
-        return self._pick(self.asset.read_qpos())
+        return self._pick(self.articulation.read_qpos())
 
     @cached_property
     def _initial_rows(self) -> Floats:
         rows = np.tile(self.initial_qpos, (self.asset.num_instances, 1))
-        return self.asset.host.arrays.put(rows)
+        return self.asset.sim.arrays.put(rows)
 
     def displacement(self) -> Floats:
         """(N, K) joint positions minus the initial ones, rad or m."""
@@ -236,26 +256,26 @@ class ResolvedEntity:
 
     def encoder_bias(self) -> Floats:
         """(N, K) what encoders read minus joint positions, rad or m."""
-        return self._pick(self.asset.drives.encoder_bias)
+        return self._pick(self.articulation.drives.encoder_bias)
 
     def qvel(self) -> Floats:
         """(N, K) joint velocities, rad/s or m/s; do not write to it or store it."""
-        return self._pick(self.asset.read_qvel())
+        return self._pick(self.articulation.read_qvel())
 
     def target_qpos(self) -> Floats:
         """(N, K) position targets of the drives, rad or m; qpos of joints without a drive."""
-        return self.asset.drives.read_target_qpos()[:, self._columns]
+        return self.articulation.drives.read_target_qpos()[:, self._columns]
 
     def effort(self) -> Floats:
         """(N, K) efforts of the last physics step, N m or N: drive, damping and applied efforts."""
         applied = self.asset.engine.state("qfrc_applied")[:, self._dofs]
-        return self._pick(self.asset.read_qf()) + applied
+        return self._pick(self.articulation.read_qf()) + applied
 
     @cached_property
     def _computed(self) -> ComputedEfforts:
         from embodichain.lab.sim.objects.computed_effort import ComputedEfforts  # needs MuJoCo
 
-        return ComputedEfforts(self.asset, self._columns)
+        return ComputedEfforts(self.articulation, self._columns)
 
     def computed_effort(self) -> Floats:
         """(N, K) efforts of the last physics step before limits of force cut them, N m or N."""
@@ -275,7 +295,7 @@ class ResolvedEntity:
         Raises:
             ConfigError: If no joint has a limit.
         """
-        low, high = self.asset.drives.limits.of(self._columns, None)
+        low, high = self.articulation.drives.limits.of(self._columns, None)
         if not self._was_checked(low, "position"):
             self._require_limits(np.isfinite(low) | np.isfinite(high), "position")
         if soft_ratio == 1.0:
@@ -292,10 +312,10 @@ class ResolvedEntity:
         Raises:
             ConfigError: If a joint has no limits.
         """
-        low, high = self.asset.drives.limits.of(self._columns, None)
+        low, high = self.articulation.drives.limits.of(self._columns, None)
         if self._was_checked(low, "ranges"):
             return low, high
-        is_limited = self.asset.host.arrays.host(np.isfinite(low) & np.isfinite(high))
+        is_limited = self.asset.sim.arrays.host(np.isfinite(low) & np.isfinite(high))
         if not is_limited.all():
             is_limited_everywhere = np.asarray(is_limited.all(axis=0))
             joints = zip(self.joint_names, is_limited_everywhere, strict=True)
@@ -310,7 +330,9 @@ class ResolvedEntity:
         Raises:
             ConfigError: If no joint has a limit.
         """
-        return self._smaller_limits(self.asset.drives.max_velocity, "qvel_limits", "velocity")
+        return self._smaller_limits(
+            self.articulation.drives.max_velocity, "qvel_limits", "velocity"
+        )
 
     def effort_limits(self) -> Floats:
         """(N, K) N m or N: the smaller of the drive's maximum and the file's limit.
@@ -318,12 +340,12 @@ class ResolvedEntity:
         Raises:
             ConfigError: If no joint has a limit.
         """
-        drives = self.asset.drives
+        drives = self.articulation.drives
         return self._smaller_limits(drives.max_effort * drives.strength, "qf_limits", "effort")
 
     def _smaller_limits(self, of_drives: Floats, file_attribute: str, what: str) -> Floats:
         """(N, K) the smaller of the drives' limits, (N, D), and those of the file."""
-        of_file = np.asarray(getattr(self.asset.parsed, file_attribute), np.float64)
+        of_file = np.asarray(getattr(self.articulation.parsed, file_attribute), np.float64)
         limits = np.minimum(of_drives[:, self._columns], of_file[self._columns])
         limits = np.where(limits >= UNLIMITED, np.inf, limits)
         if not self._was_checked(limits, what):
@@ -344,7 +366,7 @@ class ResolvedEntity:
         return False
 
     def _require_limits(self, is_limited: NDArray[np.bool_], what: str) -> None:
-        if not self.asset.host.arrays.host(is_limited).any():
+        if not self.asset.sim.arrays.host(is_limited).any():
             names = ", ".join(self.joint_names)
             message = f"none of the joints picked of {self.uid!r} has limits of {what}: {names}"
             raise ConfigError([Problem(self.path, message)])

@@ -14,7 +14,7 @@ from embodichain.utils.random import constant
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.managers.context import Draws
+    from embodichain.lab.gym.envs.managers.context import RandomDraws
     from embodichain.lab.sim.compiler.names import NamedBy
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.articulation import Articulation
@@ -45,6 +45,8 @@ class Term:
         watches: Whether an event changes nothing, such as one that films: it is called in the last
             step of an episode too.
         comes_first: Whether an event fires before the others of its mode, wherever it is declared.
+        reads_images: Whether an observation is an image, whatever the type of its numbers; sensors
+            have the same attribute. Values of uint8 in three dimensions are images without it.
         whole_batch: Why it needs all environments in one process; empty if it does not.
             `sim.backend=ray` refuses such terms.
     """
@@ -52,6 +54,7 @@ class Term:
     saved: ClassVar[tuple[str, ...]] = ()
     watches: ClassVar[bool] = False
     comes_first: ClassVar[bool] = False
+    reads_images: ClassVar[bool] = False
     whole_batch: ClassVar[str] = ""
 
     def reset(self, env_ids: EnvIndex | None) -> None:
@@ -286,6 +289,6 @@ class Uniform:
             high = np.deg2rad(high)
         return cls(name, low, high)
 
-    def __call__(self, draws: Draws, env_ids: EnvIndex | None) -> Floats:
+    def __call__(self, draws: RandomDraws, env_ids: EnvIndex | None) -> Floats:
         """(n, ...) numbers for the environments given, or for all. Do not write into it."""
         return draws.draw(self.name, self.low.shape, self.low, self.high, env_ids)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import lazy_loader
 import numpy as np
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     import mujoco
 
     from embodichain.lab.sim.engine.api import Engine, EnvIndex
+    from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.lab.sim.objects.rigid_object import RigidObject
     from embodichain.utils.array_types import Floats
 else:
     mujoco = lazy_loader.load("mujoco")
@@ -97,11 +99,12 @@ def need_object(entity: ResolvedEntity, dynamic: str = "") -> None:
     Raises:
         ConfigError: If it is not.
     """
-    if not hasattr(entity.asset, "is_non_dynamic"):
+    if entity.is_articulation:
         message = f"{entity.uid!r} is not a rigid object: it has joints and links"
         raise ConfigError([Problem("entity_cfg.uid", message)])
-    if dynamic and entity.asset.is_non_dynamic:
-        kind = entity.asset.cfg.body_type
+    rigid_object = entity.rigid_object
+    if dynamic and rigid_object.is_non_dynamic:
+        kind = rigid_object.cfg.body_type
         message = f"{entity.uid!r} is {kind}: {dynamic} means nothing unless body_type: dynamic"
         raise ConfigError([Problem("entity_cfg.uid", message)])
 
@@ -112,7 +115,7 @@ def need_articulation(entity: ResolvedEntity) -> None:
     Raises:
         ConfigError: If it has none.
     """
-    if not hasattr(entity.asset, "parsed"):
+    if not entity.is_articulation:
         raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])
 
 
@@ -124,13 +127,13 @@ def _links_or_object(
 ) -> tuple[list[str], NDArray[np.int64]]:
     """Names and MuJoCo body ids of the picked links (by default all), or of an object."""
     entity.require_links()
-    asset = entity.asset
-    if not hasattr(asset, "parsed"):
+    if not entity.is_articulation:
         if moving:
             need_object(entity, what)
-        return [entity.uid], np.array([asset.entity.root_body_id], np.int64)
-    names = list(entity.link_names or asset.parsed.link_names)
-    return names, np.array([asset.body_of(name) for name in names], np.int64)
+        return [entity.uid], np.array([entity.asset.index.root_body_id], np.int64)
+    articulation = entity.articulation
+    names = list(entity.link_names or articulation.parsed.link_names)
+    return names, np.array([articulation.body_of(name) for name in names], np.int64)
 
 
 def _mass_values(entity: ResolvedEntity, options: Options) -> Values:
@@ -147,10 +150,11 @@ def _mass_values(entity: ResolvedEntity, options: Options) -> Values:
     def make_write(ids: NDArray[np.int64]) -> Write:
         def write_masses(values: Floats, env_ids: EnvIndex | None) -> None:
             values = np.maximum(values, options.min_mass)
-            if hasattr(asset, "parsed"):
-                asset.write_mass(values, bodies[ids], env_ids, options.recompute_inertia)
+            scales_inertia = options.recompute_inertia
+            if entity.is_articulation:
+                entity.articulation.write_mass(values, bodies[ids], env_ids, scales_inertia)
             else:
-                asset.write_mass(values[:, 0], env_ids, options.recompute_inertia)
+                entity.rigid_object.write_mass(values[:, 0], env_ids, scales_inertia)
 
         return write_masses
 
@@ -160,7 +164,7 @@ def _mass_values(entity: ResolvedEntity, options: Options) -> Values:
     return Values(names, default, make_write, unlimited="each of its shapes has a mass of its own")
 
 
-def _shape_names(asset: Any) -> tuple[str, ...]:
+def _shape_names(asset: Articulation | RigidObject) -> tuple[str, ...]:
     """Names of the shapes that an object may have, if it has `any_of`."""
     return getattr(asset, "shape_names", ())
 
@@ -185,8 +189,7 @@ def _com_values(entity: ResolvedEntity, options: Options) -> Values:
 
 
 def _inertia_values(entity: ResolvedEntity, options: Options) -> Values:
-    asset = entity.asset
-    engine = asset.engine
+    engine = entity.asset.engine
     names, bodies = _links_or_object(entity, "its inertia")
 
     def make_write(ids: NDArray[np.int64]) -> Write:
@@ -194,13 +197,14 @@ def _inertia_values(entity: ResolvedEntity, options: Options) -> Values:
         compiled_mass = np.where(compiled_mass > 0, compiled_mass, 1.0)
 
         def write_factors(values: Floats, env_ids: EnvIndex | None) -> None:
-            if not hasattr(asset, "parsed"):
-                asset.write_inertia_scale(values[:, 0], env_ids)
+            if not entity.is_articulation:
+                entity.rigid_object.write_inertia_scale(values[:, 0], env_ids)
                 return
             mass = engine.model_field("body_mass")[:, bodies[ids]]
             if env_ids is not None:
                 mass = mass[env_ids]
-            asset.write_inertia(mass / compiled_mass * values, bodies[ids], env_ids)
+            inertia_scale = mass / compiled_mass * values
+            entity.articulation.write_inertia(inertia_scale, bodies[ids], env_ids)
 
         return write_factors
 
@@ -210,7 +214,7 @@ def _inertia_values(entity: ResolvedEntity, options: Options) -> Values:
 def _scale_values(entity: ResolvedEntity, options: Options) -> Values:
     need_object(entity)
     entity.require_whole()
-    asset = entity.asset
+    asset = entity.rigid_object
     width = 1 if options.same_scale_all_axes else 3
     if _shape_names(asset):
         message = f"{entity.uid!r} has any_of: list shapes of several sizes there"
@@ -286,8 +290,8 @@ def _friction_values(entity: ResolvedEntity, options: Options, axis: int) -> Val
 def _colliding_geoms(entity: ResolvedEntity) -> NDArray[np.int64]:
     """The geoms of an entity that collide, with any of its shapes if it has several."""
     model = entity.asset.engine.model
-    geoms = np.asarray(entity.asset.entity.geom_ids, np.int64)
-    variants = entity.asset.entity.variants
+    geoms = np.asarray(entity.asset.index.geom_ids, np.int64)
+    variants = entity.asset.index.variants
     if variants is None:
         return geoms[(model.geom_contype[geoms] | model.geom_conaffinity[geoms]) != 0]
     return geoms[(variants.contype | variants.conaffinity).any(axis=0)]
@@ -327,9 +331,9 @@ def _picked_joints(entity: ResolvedEntity, driven: bool) -> NDArray[np.int64]:
     """Indices of the picked joints, which must all have a drive if `driven`."""
     need_articulation(entity)
     entity.require_whole()
-    asset = entity.asset
+    asset = entity.articulation
     joints = np.asarray(entity.joint_ids, np.int64)
-    undriven = joints[np.asarray(asset.entity.actuator_ids, np.int64)[joints] < 0]
+    undriven = joints[np.asarray(asset.index.actuator_ids, np.int64)[joints] < 0]
     if driven and (len(undriven) or not len(joints)):
         names = ", ".join(asset.parsed.joint_names[i] for i in undriven) or "(no joint)"
         message = f"joints of {entity.uid!r} without a drive: {names}"
@@ -342,7 +346,7 @@ def _joint_values(
     entity: ResolvedEntity, options: Options, name: str, driven: bool = False
 ) -> Values:
     """A property of drives or joints; the name is that of `Drives.put`."""
-    asset = entity.asset
+    asset = entity.articulation
     joints = _picked_joints(entity, driven)
 
     def make_write(ids: NDArray[np.int64]) -> Write:
@@ -357,9 +361,9 @@ def _joint_values(
     )
 
 
-def _limit_values(entity: ResolvedEntity, options: Options, side: int) -> Values:
+def _limit_values(entity: ResolvedEntity, options: Options, side: Literal[0, 1]) -> Values:
     """The lower (0) or upper (1) position limits of joints."""
-    asset = entity.asset
+    asset = entity.articulation
     joints = _picked_joints(entity, driven=False)
 
     def make_write(ids: NDArray[np.int64]) -> Write:
@@ -379,8 +383,8 @@ def _limit_values(entity: ResolvedEntity, options: Options, side: int) -> Values
 def _strength_values(entity: ResolvedEntity, options: Options) -> Values:
     """Factors of drives, and of a file's own actuators on the picked joints."""
     need_articulation(entity)
-    asset = entity.asset
-    index = asset.entity
+    asset = entity.articulation
+    index = asset.index
     model = asset.engine.model
     joints = np.asarray(entity.joint_ids, np.int64)
     driven_joints = joints[np.asarray(index.actuator_ids, np.int64)[joints] >= 0]

@@ -7,7 +7,7 @@ may turn.
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.utils.array_types import Floats
 
 __all__ = [
@@ -89,11 +90,11 @@ def tool_links(entity: ResolvedEntity) -> list[str]:
     """
     from embodichain.lab.sim.objects.arms.arm_solver import tool_bodies
 
-    asset = entity.asset
+    asset = entity.articulation
     parts = entity.control_parts or ("default",)
     if len(parts) == 1 and parts[0] in asset.parsed.tools:
         return [asset.parsed.tools[parts[0]]]
-    link_bodies = list(asset.entity.body_ids)
+    link_bodies = list(asset.index.body_ids)
     link_names = asset.parsed.link_names
     return [link_names[link_bodies.index(body)] for body in tool_bodies(asset, entity.joint_ids)]
 
@@ -112,7 +113,7 @@ def arm_solver(entity: ResolvedEntity, path: str = "entity_cfg") -> ArmSolver:
     from embodichain.lab.sim.cfg import SolverCfg
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
 
-    asset = entity.asset
+    asset = entity.articulation
     if not entity.joint_ids:
         raise ConfigError([Problem(f"{path}.uid", f"{entity.uid!r} has no joints")])
     names = list(entity.frame_names) or tool_links(entity)
@@ -123,7 +124,8 @@ def arm_solver(entity: ResolvedEntity, path: str = "entity_cfg") -> ArmSolver:
     tool = entity.frame if entity.frame_names else link_frame(asset.body_of(names[0]))
     part = entity.control_parts[0] if len(entity.control_parts) == 1 else None
     # An articulation that is not a robot has no settings.
-    settings = asset.solver_cfg(part) if hasattr(asset, "solver_cfg") else SolverCfg()
+    solver_cfg = getattr(asset, "solver_cfg", None)
+    settings = SolverCfg() if solver_cfg is None else solver_cfg(part)
     return ArmSolver(asset, entity.joint_ids, tool, settings, path)
 
 
@@ -133,7 +135,7 @@ def moving_joints(entity: ResolvedEntity, solver: ArmSolver) -> ResolvedEntity:
     return dataclasses.replace(entity, joint_ids=joints, joint_names=solver.names, all_joints=False)
 
 
-def usual_speeds(asset: Any, joints: NDArray[np.int64], solver: ArmSolver) -> Floats:
+def usual_speeds(asset: Articulation, joints: NDArray[np.int64], solver: ArmSolver) -> Floats:
     """(k,) rad/s or m/s: the smaller of file and drive, else pi rad/s or 1 m/s.
 
     Args:

@@ -117,22 +117,22 @@ class UniformVelocityCommand(CommandTerm):
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw velocities, headings, and which environments stand or turn to a heading."""
         drawn = self._drawn(self._env.command_manager, env_ids)
-        rows: Any = slice(None) if env_ids is None else env_ids
+        where: Any = slice(None) if env_ids is None else env_ids
         is_standing = drawn[:, 4] < self._standing_share
-        self.is_standing[rows] = is_standing
-        self.is_heading[rows] = self._has_heading & (drawn[:, 5] < self._heading_share)
-        self.heading_target[rows] = drawn[:, 3]
-        self.values[rows] = np.where(is_standing[:, None], 0.0, drawn[:, :3])
+        self.is_standing[where] = is_standing
+        self.is_heading[where] = self._has_heading & (drawn[:, 5] < self._heading_share)
+        self.heading_target[where] = drawn[:, 3]
+        self.values[where] = np.where(is_standing[:, None], 0.0, drawn[:, :3])
 
     def update(self, env_ids: EnvIndex | None) -> None:
         """Compute wz of the environments that turn to a heading."""
         if not self._has_heading:
             return
-        rows: Any = slice(None) if env_ids is None else env_ids
+        where: Any = slice(None) if env_ids is None else env_ids
         error = wrapped(self.heading_target - heading(self._entity.orientation(), "yaw")[:, 0])
         rate = np.clip(self._stiffness * error, self._drawn.low[2], self._drawn.high[2])
-        is_turning = (self.is_heading & ~self.is_standing)[rows]
-        self.values[rows, 2] = np.where(is_turning, rate[rows], self.values[rows, 2])
+        is_turning = (self.is_heading & ~self.is_standing)[where]
+        self.values[where, 2] = np.where(is_turning, rate[where], self.values[where, 2])
 
     def metrics(self) -> Mapping[str, Floats]:
         """Distance of the velocity from the command: in the plane, and about z."""
@@ -185,14 +185,14 @@ class UniformPoseCommand(CommandTerm):
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw poses."""
         drawn = self._pose(self._env.command_manager, env_ids)
-        rows: Any = slice(None) if env_ids is None else env_ids
-        self.values[rows, :3] = drawn[:, :3]
+        where: Any = slice(None) if env_ids is None else env_ids
+        self.values[where, :3] = drawn[:, :3]
         if not self._has_rotation:
             return
         quat = rpy_to_quat(drawn[:, 3:])
         if self._is_quat_unique:
             quat = unique_quat(quat)
-        self.values[rows, 3:] = quat
+        self.values[where, 3:] = quat
 
     def world(self) -> tuple[Floats, Floats]:
         """The commanded position (N, 3) and wxyz orientation (N, 4) in the environment's frame."""
@@ -239,7 +239,7 @@ class UniformJointPositionCommand(CommandTerm):
         self._env = env
         self._entity = entity_cfg
         self.names = entity_cfg.joint_names
-        parsed = entity_cfg.asset.parsed
+        parsed = entity_cfg.articulation.parsed
         ids = list(entity_cfg.joint_ids)
         home = np.asarray(parsed.init_qpos, np.float64)[ids]
         limits = np.asarray(parsed.qpos_limits, np.float64)[ids]
@@ -267,7 +267,7 @@ class UniformJointPositionCommand(CommandTerm):
 
     def metrics(self) -> Mapping[str, Floats]:
         """Distance of the joints from the command."""
-        qpos: Any = self._entity.asset.read_qpos()
+        qpos = self._entity.articulation.read_qpos()
         if not self._entity.all_joints:
             qpos = qpos[:, list(self._entity.joint_ids)]
         return {"joint_error": norm(qpos - self.values)}

@@ -101,8 +101,8 @@ def _cosine(x: Floats, value: float) -> Floats:
 
 
 def _tanh_squared(x: Floats, value: float) -> Floats:
-    bent = np.tanh(x * math.atanh(math.sqrt(1.0 - value)))
-    return 1.0 - bent * bent
+    scaled = np.tanh(x * math.atanh(math.sqrt(1.0 - value)))
+    return 1.0 - scaled * scaled
 
 
 def _quadratic(x: Floats, value: float) -> Floats:
@@ -126,6 +126,7 @@ SIGMOIDS: dict[str, Callable[[Floats, float], Floats]] = {
 }
 """Name -> f(x >= 0, value at 1); each is 1 at 0 and decreases."""
 _MAY_END = ("linear", "cosine", "quadratic")
+"""Sigmoids that reach 0 at a finite x, which may be at the margin."""
 
 
 class Tolerance:
@@ -147,23 +148,27 @@ class Tolerance:
     def __init__(
         self, bounds: Sequence[float], margin: float, sigmoid: Sigmoid, value_at_margin: float
     ) -> None:
-        low = value_at_margin >= 0.0 if sigmoid in _MAY_END else value_at_margin > 0.0
-        if not (low and value_at_margin < 1.0):
-            allowed = "[0, 1)" if sigmoid in _MAY_END else "(0, 1)"
+        is_allowed = 0.0 < value_at_margin < 1.0
+        allowed = "(0, 1)"
+        if sigmoid in _MAY_END:
+            is_allowed = 0.0 <= value_at_margin < 1.0
+            allowed = "[0, 1)"
+        if not is_allowed:
             message = f"must be in {allowed} for sigmoid {sigmoid!r}, got {value_at_margin}"
             raise ConfigError([Problem("value_at_margin", message)])
         self._low, self._high = (float(bound) for bound in bounds)
         self._margin = float(margin)
-        self._sigmoid, self._value = SIGMOIDS[sigmoid], float(value_at_margin)
+        self._sigmoid = SIGMOIDS[sigmoid]
+        self._value_at_margin = float(value_at_margin)
 
     def __call__(self, x: Floats) -> Floats:
         """Values in [0, 1] of the shape of ``x``; NaN stays NaN."""
         # A bound at infinity is never exceeded: the difference is -inf, and the maximum 0.
         excess = np.maximum(np.maximum(self._low - x, x - self._high), 0.0)
         if self._margin > 0.0:
-            return self._sigmoid(contiguous(excess / self._margin), self._value)
-        inside: Floats = np.where(excess > 0.0, 0.0, 1.0)
-        return np.where(np.isnan(excess), excess, inside)
+            return self._sigmoid(contiguous(excess / self._margin), self._value_at_margin)
+        step: Floats = np.where(excess > 0.0, 0.0, 1.0)
+        return np.where(np.isnan(excess), excess, step)
 
 
 def gaussian_kernel(squared: Floats, std: float) -> Floats:
@@ -188,14 +193,16 @@ def _columns(values: Floats) -> Floats:
 
 def _any_column(mask: Mask) -> Mask:
     """Whether a row has a True, (N,) or (N, K) -> (N,)."""
-    found: Any = mask if mask.ndim == 1 else mask.any(axis=1)
-    return cast("Mask", found)
+    if mask.ndim == 1:
+        return mask
+    return cast("Mask", mask.any(axis=1))
 
 
 def _every_column(mask: Mask) -> Mask:
     """Whether all columns of a row are True, (N,) or (N, K) -> (N,)."""
-    found: Any = mask if mask.ndim == 1 else mask.all(axis=1)
-    return cast("Mask", found)
+    if mask.ndim == 1:
+        return mask
+    return cast("Mask", mask.all(axis=1))
 
 
 def _length(values: Floats) -> Floats:
@@ -249,14 +256,14 @@ def column(env: TermContext, which: Annotated[int, Field(ge=0)] | str) -> Values
     """
     index = int(which)
 
-    def one(values: Floats) -> Floats:
+    def pick_column(values: Floats) -> Floats:
         columns = _columns(values)
         if index >= columns.shape[1]:
             message = f"there are {columns.shape[1]} columns, numbered from 0; got {index}"
             raise ConfigError([Problem("column", message)])
         return contiguous(columns[:, index])
 
-    return one
+    return pick_column
 
 
 @register_shape
@@ -315,7 +322,12 @@ def tolerance(
         weight: 1.0, params: {of: {uid: cube}}}``
     """
     kernel = Tolerance(bounds, margin, sigmoid, value_at_margin)
-    return lambda values: kernel(values) if values.ndim == 1 else mean(kernel(values))
+
+    def apply_tolerance(values: Floats) -> Floats:
+        value = kernel(values)
+        return value if value.ndim == 1 else mean(value)
+
+    return apply_tolerance
 
 
 @register_shape
@@ -329,7 +341,8 @@ def above(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
     Example:
         ``{func: height, shape: {above: 0.1}, weight: 15.0, params: {of: {uid: cube}}}``
     """
-    compare, limit = np.greater_equal if inclusive else np.greater, np.asarray(threshold)
+    compare = np.greater_equal if inclusive else np.greater
+    limit = np.asarray(threshold)
     return lambda values: _any_column(compare(values, limit))
 
 
@@ -344,7 +357,8 @@ def below(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
     Example:
         ``{func: distance, shape: {below: 0.05}, params: {from: {uid: cube}, to: {uid: goal}}}``
     """
-    compare, limit = np.less_equal if inclusive else np.less, np.asarray(threshold)
+    compare = np.less_equal if inclusive else np.less
+    limit = np.asarray(threshold)
     return lambda values: _every_column(compare(values, limit))
 
 
@@ -361,11 +375,11 @@ def within(env: TermContext, bounds: BoundsOrBox) -> Truths:
     """
     low, high = (np.asarray(bound, np.float64) for bound in bounds)
 
-    def inside(values: Floats) -> Mask:
+    def is_within(values: Floats) -> Mask:
         columns = _columns(values)
         return _every_column((columns >= low) & (columns <= high))
 
-    return inside
+    return is_within
 
 
 @register_shape
@@ -380,11 +394,11 @@ def outside(env: TermContext, bounds: BoundsOrBox) -> Truths:
     """
     low, high = (np.asarray(bound, np.float64) for bound in bounds)
 
-    def beyond(values: Floats) -> Mask:
+    def is_outside(values: Floats) -> Mask:
         columns = _columns(values)
         return _any_column((columns < low) | (columns > high))
 
-    return beyond
+    return is_outside
 
 
 @register_shape
@@ -425,8 +439,8 @@ def at_most(env: TermContext, limit: float | None) -> Values:
     Example:
         ``{func: height, shape: {at_most: 0.2}, weight: 5.0, params: {of: {uid: cube}}}``
     """
-    most = np.inf if limit is None else limit
-    return lambda values: np.minimum(values, most)
+    upper_bound = np.inf if limit is None else limit
+    return lambda values: np.minimum(values, upper_bound)
 
 
 @register_shape
@@ -464,40 +478,48 @@ class Rate(Term):
         self._from_zeros = before == "zeros"
         self._unit = env.step_dt**order if per == "second" else 1.0
         self._order = order
-        # Steps without a rate yet.
-        self._left: NDArray[np.int64] = env.arrays.full(env.num_envs, order, np.int64)
-        self._all_known = False
+        # (N,) steps of the episode that have no rate yet, as there is too little to compare with.
+        self._missing_steps: NDArray[np.int64] = env.arrays.full(env.num_envs, order, np.int64)
+        # Whether it is 0 everywhere: true in most steps, which need not look at it.
+        self._are_all_known = False
+        # The last values, the newest first.
         self._past: list[Floats] = []
 
     def __call__(self, values: Floats) -> Floats:
         """Changes of the shape of ``values``."""
-        rows = values.astype(np.float64)
-        past = self._past or [rows] * self._order
-        if self._from_zeros and not self._all_known:
-            first = self._left == self._order
-            first = first if rows.ndim == 1 else first[:, None]
-            past = [np.where(first, 0.0, kept) for kept in past]
-        self._past = [rows, *past[: self._order - 1]]
-        change = rows - past[0] if self._order == 1 else rows - 2.0 * past[0] + past[1]
+        now = values.astype(np.float64)
+        past = self._past or [now] * self._order
+        if self._from_zeros and not self._are_all_known:
+            is_first_step = self._missing_steps == self._order
+            if now.ndim > 1:
+                is_first_step = is_first_step[:, None]
+            past = [np.where(is_first_step, 0.0, value) for value in past]
+        self._past = [now, *past[: self._order - 1]]
+        change = now - past[0]
+        if self._order == 2:
+            change = now - 2.0 * past[0] + past[1]
         change /= self._unit
-        if not self._all_known:
+        if not self._are_all_known:
             if not self._from_zeros:
-                change[self._left > 0] = 0.0
-            self._left = np.maximum(self._left - 1, 0)
-            self._all_known = not may_be_set(self._left)
+                change[self._missing_steps > 0] = 0.0
+            self._missing_steps = np.maximum(self._missing_steps - 1, 0)
+            self._are_all_known = not may_be_set(self._missing_steps)
         return change
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Clear the stored steps of these environments."""
-        self._left[slice(None) if env_ids is None else env_ids] = self._order
-        self._all_known = False
+        self._missing_steps[slice(None) if env_ids is None else env_ids] = self._order
+        self._are_all_known = False
 
     def state_dict(self) -> dict[str, Any]:
         """The number of missing steps, and the values of the last ones (copies)."""
-        return {"left": self._left.copy(), "past": [rows.copy() for rows in self._past]}
+        return {
+            "left": self._missing_steps.copy(),
+            "past": [values.copy() for values in self._past],
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
-        self._left = state["left"].copy()
-        self._all_known = not may_be_set(self._left)
-        self._past = [rows.copy() for rows in state["past"]]
+        self._missing_steps = state["left"].copy()
+        self._are_all_known = not may_be_set(self._missing_steps)
+        self._past = [values.copy() for values in state["past"]]

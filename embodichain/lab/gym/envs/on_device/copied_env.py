@@ -98,8 +98,8 @@ class CopiedEnv(_StandIn):
         ids = None if mask is None or mask.all() else np.flatnonzero(mask)
         if ids is not None and not len(ids):
             return
-        rows: Any = slice(None) if ids is None else ids
-        values = {name: array[rows].astype(np.float64) for name, array in drawn.items()}
+        where: Any = slice(None) if ids is None else ids
+        values = {name: array[where].astype(np.float64) for name, array in drawn.items()}
         record = EventRecord(term=term, mode=mode, env_ids=ids, drawn=values)
         for observer in self.observers:
             observer.on_event(self._as_observed, record)

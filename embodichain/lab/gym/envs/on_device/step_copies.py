@@ -65,11 +65,11 @@ class StepCopies(StepObserver):
         env: The environment.
 
     Attributes:
-        host: The environment that observers see.
+        copied_env: The environment that observers see.
     """
 
     def __init__(self, env: Any) -> None:
-        self.host = CopiedEnv(env, self.flush)
+        self.copied_env = CopiedEnv(env, self.flush)
         engine: DeviceEngine = env.sim.engine
         self._env = env
         self._engine = engine
@@ -267,27 +267,27 @@ class StepCopies(StepObserver):
         self, calls: Sequence[_Call], values: Sequence[Values], weights: Mapping[str, float]
     ) -> None:
         """Tell the observers, in the order of the calls."""
-        host = self.host
+        env = self.copied_env
         for i, (call, arrays) in enumerate(zip(calls, values, strict=True)):
             if call.kind == "states":
-                host.engine.put_states(arrays)
+                env.engine.put_states(arrays)
             elif call.kind == "fields":
-                host.engine.put_fields(arrays, call.about["constants"])
+                env.engine.put_fields(arrays, call.about["constants"])
             elif call.kind == "physics":
-                host.engine.put_physics(call.about["nstep"], arrays)
+                env.engine.put_physics(call.about["nstep"], arrays)
             elif call.kind == "commands":
-                host.put_commands(arrays)
+                env.put_commands(arrays)
             elif call.kind == "event":
                 drawn = call.about["fixed"] | arrays
                 mask = drawn.pop("", None)
-                host.event(call.about["term"], call.about["mode"], mask, drawn)
+                env.event(call.about["term"], call.about["mode"], mask, drawn)
             elif call.kind == "reset begins":
                 # A reset is reported with the states after it, which are gathered later.
                 later = zip(calls[i:], values[i:], strict=True)
                 states = next(states for other, states in later if other.kind == "states")
-                host.engine.put_reset(self._ids(call, arrays), states)
+                env.engine.put_reset(self._ids(call, arrays), states)
             elif call.kind == "reset":
-                host.reset(self._ids(call, arrays))
+                env.reset(self._ids(call, arrays))
             else:
                 self._report_step(call, arrays, weights)
 
@@ -296,7 +296,7 @@ class StepCopies(StepObserver):
         if arrays:
             return np.flatnonzero(arrays["mask"])
         ids: NDArray[np.int64] | None = call.about["ids"]
-        return np.arange(self.host.num_envs) if ids is None else ids
+        return np.arange(self.copied_env.num_envs) if ids is None else ids
 
     def _report_step(self, call: _Call, arrays: Values, weights: Mapping[str, float]) -> None:
         groups: dict[str, tuple[tuple[str, ...], NDArray[Any]]] = {}
@@ -309,14 +309,14 @@ class StepCopies(StepObserver):
             for key, array in arrays.items()
             if key.startswith(prefix)
         }
-        self.host.step(arrays, info, groups, weights)
+        self.copied_env.step(arrays, info, groups, weights)
 
     def on_close(self, env: ObservedEnv) -> None:
         """Report what is left, then that the environment closes, even if that fails."""
         try:
             self.flush()
         finally:
-            self.host.close()
+            self.copied_env.close()
 
 
 def _arrays_of(group: Mapping[str, Any]) -> dict[str, Any]:

@@ -32,9 +32,9 @@ from embodichain.utils.system.atomic import atomic_file
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.gym.envs.managers.drawing import CommandManager
     from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+    from embodichain.lab.gym.envs.managers.random_managers import CommandManager
     from embodichain.lab.gym.envs.managers.value_managers import (
         MetricManager,
         RewardManager,
@@ -304,8 +304,8 @@ class StepJudge:
         if not self._hooks.make_info:
             check_shapes(self._env, obs)
 
-    def info(self, obs: Any, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
-        """Info of the step: from the class's hooks, then terminations, then metrics.
+    def compute_info(self, obs: Any, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
+        """Call the class's hooks, then terminations, then metrics; return the info of the step.
 
         ``info["success"]`` is the metric `success` of a task that has one, above 0, and else what
         ``info["success_terminated"]`` is: a termination of kind success, or the class's success.
@@ -343,13 +343,13 @@ class StepJudge:
         self._episodes.success = env.arrays.of(info["success"]).copy()
         return info, Outcome(success, fail, masks.get("time_out"))
 
-    def reward(self, obs: Any, action: Any, info: Info) -> F32:
-        """(N,) rewards of `get_reward`, plus those of the terms, after `_extend_reward`.
+    def compute_reward(self, obs: Any, action: Any, info: Info) -> F32:
+        """Compute (N,) rewards: of `get_reward` and the terms, changed by `_extend_reward`.
 
         Args:
-            obs: As of `info`.
+            obs: As of `compute_info`.
             action: The action that rewards receive.
-            info: The result of `info`; gains the values of the terms.
+            info: The result of `compute_info`; gains the values of the terms.
         """
         env = self._env
         hooks = self._hooks
@@ -374,8 +374,11 @@ class StepJudge:
             yield
         info["elapsed_steps"] = elapsed_steps
 
-    def diverged(self, obs: Observation, reward: F32) -> Mask | None:
-        """(N,) environments that diverged in this step, or None; without those pending a reset."""
+    def find_diverged(self, obs: Observation, reward: F32) -> Mask | None:
+        """Return the environments (N,) that diverged in this step, or None.
+
+        Environments that are pending a reset are left out. The engine reports each divergence once.
+        """
         self._physics = self._env.sim.engine.take_diverged()
         mask = self._physics
         for bad in (bad_rows(obs.rows), bad_rows(reward)):
@@ -388,7 +391,7 @@ class StepJudge:
         return None if none_set(mask) else mask
 
     def explain(self, mask: Mask, obs: Observation, reward: F32, info: Info) -> None:
-        """Log why environments (N,) of `diverged` are: their physics, or which terms.
+        """Log why environments (N,) of `find_diverged` are: their physics, or which terms.
 
         A term is only named where the physics is finite. With arrays on a device nothing is logged:
         it is not known there whether an environment is in the mask.

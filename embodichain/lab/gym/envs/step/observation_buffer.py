@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.managers.observation_manager import is_image
 from embodichain.lab.gym.envs.managers.terms.term_errors import (
     declared_at,
     finite_physics,
@@ -47,7 +48,7 @@ class ObservationBuffer:
             written into the array at once. Otherwise the hooks of the class receive the entries
             as nested tensors.
         episodes: Counts steps: the present one counts for terms.
-        sensors: All sensors by uid; the data of those with `reads_images` are images.
+        sensors: All sensors by uid.
 
     Attributes:
         layout: Columns of the entries; set by `build`.
@@ -73,9 +74,7 @@ class ObservationBuffer:
         self._manager = manager
         self._plain = plain
         self._episodes = episodes
-        self._cameras = {
-            uid for uid, sensor in sensors.items() if getattr(sensor, "reads_images", False)
-        }
+        self._sensors = sensors
         self._warning_counts: dict[str, int] = {}
         self._built = False
         self._has_terms = False
@@ -85,8 +84,8 @@ class ObservationBuffer:
         first = self._with_terms(obs)
         manager = self._manager
         images = set(manager.images)
-        for path, _ in leaves_of(first):
-            if path[0] == "sensor" and path[1] in self._cameras:
+        for path, value in leaves_of(first):
+            if path[0] == "sensor" and is_image(self._sensors.get(path[1]), value):
                 images.add(path)
         self.layout = ObservationLayout(
             first,

@@ -17,8 +17,8 @@ from embodichain.utils.arrays import is_host
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
     from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+    from embodichain.lab.gym.envs.managers.random_managers import CommandManager, EventManager
     from embodichain.lab.gym.envs.observation import Observation
     from embodichain.lab.gym.envs.step.episodes import Episodes
     from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer

@@ -73,9 +73,9 @@ class _DivergenceMarks(Protocol):
 
     def begin(self) -> None: ...
 
-    def failed(self, env_ids: EnvIds) -> None: ...
+    def add_failed(self, env_ids: EnvIds) -> None: ...
 
-    def forget(self, rows: Any) -> None: ...
+    def forget(self, env_ids: Any) -> None: ...
 
     def take(self) -> NDArray[np.bool_] | None: ...
 
@@ -128,7 +128,7 @@ class HostEngine(Uncopied, Engine):
             guard_against_forks(self)
 
         # States and models.
-        self._plain_reset = not has_hidden_state
+        self._plain_reset = not has_hidden_state  # a row is all that a reset changes
         self._batch.reset(stage=_STAGE_NONE)
         self._rows: F64 = self._batch.state
         self._default_row: F64 = self._rows[0].copy()
@@ -143,13 +143,18 @@ class HostEngine(Uncopied, Engine):
         self._accelerations: dict[str, PhysicsOutput] = {}
         self._history = SensorHistory(num_envs, np.array)
 
-        # What is out of date: where derived fields must be computed again, and the version since
-        # which an environment is as it is.
-        self._dirty = np.ones(num_envs, np.bool_)
+        # Where derived fields are out of date: they are computed when somebody reads one. Most
+        # writes are to all environments, and most reads follow another read, so one flag answers
+        # for both: `_any_dirty` spares a read the search of the mask, `_all_dirty` a write to it.
+        # While `_all_dirty` is set, `_dirty` has no meaning.
         self._any_dirty = True
         self._all_dirty = True
-        self._changed: NDArray[np.int64] = np.zeros(num_envs, np.int64)
+        self._dirty = np.ones(num_envs, np.bool_)
+
+        # The version since which each environment is as it is, for those who store what they read
+        # (`versions`). A change of all environments is one number, not N.
         self._all_changed = 0
+        self._changed: NDArray[np.int64] = np.zeros(num_envs, np.int64)
 
     def close(self) -> None:
         self.__dict__.clear()  # terms of the environment may refer to the engine until it is freed
@@ -203,20 +208,20 @@ class HostEngine(Uncopied, Engine):
             function(*args, **kwargs)
         except mjbatch.SimulationError as error:
             failed = np.asarray(error.ids, np.int64)
-            self._divergence.failed(failed)
+            self._divergence.add_failed(failed)
             return failed
         return None
 
     def reset(self, env_ids: EnvIndex | None = None, row: F64 | None = None) -> None:
-        rows: Any = ALL if env_ids is None else env_ids
+        where: Any = ALL if env_ids is None else env_ids
         if self._plain_reset and self._fields.resets_alike:
             # The same row as `Batch.reset` gives, a hundred times faster: it loads no MjData.
-            self._rows[rows] = self._default_row
-            self._batch.warning[rows] = 0
+            self._rows[where] = self._default_row
+            self._batch.warning[where] = 0
         else:
             self._batch.reset(env_ids, stage=_STAGE_NONE)
         self._mark(env_ids)
-        self._divergence.forget(rows)
+        self._divergence.forget(where)
         self._notify(Write("reset", "row", env_ids, ALL, None))
         if row is not None:
             self.write("row", row, env_ids)
@@ -277,6 +282,7 @@ class HostEngine(Uncopied, Engine):
         self.set_const(self._fields.take_stale())
 
     def _mark(self, env_ids: EnvIndex | None) -> None:
+        """Note that positions or the model changed: a new version, and derived fields are dirty."""
         self.version += 1
         self._any_dirty = True
         if env_ids is None:
@@ -287,7 +293,13 @@ class HostEngine(Uncopied, Engine):
         if not self._all_dirty:
             self._dirty[env_ids] = True
 
+    def _mark_all_dirty(self) -> None:
+        """Have derived fields computed again at the next read, though nothing has changed."""
+        self._any_dirty = True
+        self._all_dirty = True
+
     def _mark_all_clean(self) -> None:
+        """Note that derived fields are computed in all environments."""
         self._dirty[:] = False
         self._any_dirty = False
         self._all_dirty = False
@@ -379,8 +391,7 @@ class CpuEngine(HostEngine):
         if name not in self._derived:
             self._derived[name] = self._batch.bind(name)
             self._kinematics.need(name)
-            self._any_dirty = True
-            self._all_dirty = True
+            self._mark_all_dirty()
         if self._any_dirty:
             self._refresh()
         return self._derived[name]
@@ -585,18 +596,18 @@ class _Divergence:
         self._warned = self._warning.tobytes()
         self._failed: NDArray[np.bool_] | None = None
 
-    def failed(self, env_ids: EnvIds) -> None:
+    def add_failed(self, env_ids: EnvIds) -> None:
         """Remember environments (n,) in which MuJoCo raised."""
         if self._failed is None:
             self._failed = np.zeros(len(self._warning), np.bool_)
         self._failed[env_ids] = True
 
-    def forget(self, rows: Any) -> None:
+    def forget(self, env_ids: Any) -> None:
         """Clear the divergence of environments that were reset (indices or a slice)."""
-        self._counts[rows] = self._numbers[:, _DIVERGED][rows]
+        self._counts[env_ids] = self._numbers[:, _DIVERGED][env_ids]
         self._warned = self._warning.tobytes()
         if self._failed is not None:
-            self._failed[rows] = False
+            self._failed[env_ids] = False
 
     def take(self) -> NDArray[np.bool_] | None:
         """(N,) mask of environments that diverged since the last call, or None."""

@@ -102,8 +102,7 @@ class WarpEngine(HostEngine):
         if name not in self._derived:
             self._derived[name] = self._empty(name)
             self._only_kinematics &= name in KINEMATIC_STAGES and name != "sensordata"
-            self._any_dirty = True
-            self._all_dirty = True
+            self._mark_all_dirty()
         if self._any_dirty:
             self._refresh()
         return self._derived[name]
@@ -140,8 +139,7 @@ class WarpEngine(HostEngine):
             self._check_memory(None)
             self.worlds.read(name, live)
             # The reads of `derived` are out of date.
-            self._any_dirty = True
-            self._all_dirty = True
+            self._mark_all_dirty()
             output = PhysicsOutput(live, live.copy())
             self._accelerations[name] = output
         return output.copy
@@ -330,13 +328,13 @@ class _Diverged:
         """Clear all marks."""
         self._mask[:] = False
 
-    def failed(self, env_ids: EnvIndex) -> None:
+    def add_failed(self, env_ids: EnvIndex) -> None:
         """Mark environments in which MuJoCo raised on the host."""
         self._mask[env_ids] = True
 
-    def forget(self, rows: Any) -> None:
+    def forget(self, env_ids: Any) -> None:
         """Clear the marks of environments that were reset (indices or a slice)."""
-        self._mask[rows] = False
+        self._mask[env_ids] = False
 
     def take(self) -> NDArray[np.bool_] | None:
         """(N,) mask of environments that diverged since the last call, or None."""

@@ -10,8 +10,8 @@ import numpy as np
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.solvers.chain import Chain, Frames, matmul
 from embodichain.lab.sim.solvers.least_squares import (
+    IkTargets,
     LeastSquares,
-    Target,
     clamped,
     joint_step,
     pose_error,
@@ -196,12 +196,14 @@ class ArmSolver:
             columns.append(np.concatenate([linear, angular]))
         return contiguous(np.moveaxis(np.stack(columns, axis=1), -1, 0))
 
-    def to_root(self, pos: Floats, quat: Floats | None, env_ids: EnvIndex | None = None) -> Target:
+    def to_root(
+        self, pos: Floats, quat: Floats | None, env_ids: EnvIndex | None = None
+    ) -> IkTargets:
         """Poses (n, 3), (n, 4) of the environment's frame in that of the root."""
         root_pos, root_quat = self.root_pose(env_ids)
         back = quat_conjugate(root_quat)
         turned = None if quat is None else quat_multiply(back, quat)
-        return Target.of(quat_rotate(back, pos - root_pos), turned)
+        return IkTargets.of(quat_rotate(back, pos - root_pos), turned)
 
     def inverse(
         self,
@@ -234,10 +236,14 @@ class ArmSolver:
         nearest = np.where(is_solved[:, None], qpos, solutions[0])
         reached = is_solved | exist[0]
         # Where there is no solution, a search comes as near as it can.
-        rows = np.flatnonzero(~reached)
-        if len(rows):
-            ids = rows if env_ids is None else env_ids[rows]
-            nearest[rows], reached[rows] = self._search(qpos[rows], target.rows(rows), ids, 0)
+        unsolved = np.flatnonzero(~reached)
+        if len(unsolved):
+            ids = unsolved if env_ids is None else env_ids[unsolved]
+            solutions, is_reached = self._search(
+                qpos[unsolved], target.pick(unsolved), ids, restarts=0
+            )
+            nearest[unsolved] = solutions
+            reached[unsolved] = is_reached
         return nearest, reached
 
     def solutions(
@@ -305,7 +311,7 @@ class ArmSolver:
         return contiguous(low.T), contiguous(high.T)
 
     def _solve_closed_form(
-        self, qpos: Floats, target: Target, env_ids: EnvIndex | None
+        self, qpos: Floats, target: IkTargets, env_ids: EnvIndex | None
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """(8, n, D) solutions of the closed form, the nearest first; (8, n) whether they exist."""
         if self._closed_form is None or target.rotation is None:
@@ -322,7 +328,7 @@ class ArmSolver:
         return self._with_other_joints(qpos, solutions), exist
 
     def _search_all(
-        self, qpos: Floats, target: Target, env_ids: EnvIndex | None
+        self, qpos: Floats, target: IkTargets, env_ids: EnvIndex | None
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """(S, n, D) solutions of all searches, the nearest first; (S, n) whether they exist."""
         low, high = self.limits(env_ids)
@@ -356,7 +362,7 @@ class ArmSolver:
         return np.asarray(excess <= 0.0)
 
     def _search(
-        self, qpos: Floats, target: Target, env_ids: EnvIndex | None, restarts: int
+        self, qpos: Floats, target: IkTargets, env_ids: EnvIndex | None, restarts: int
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """(n, D) joint positions of the best search, and (n,) whether it reaches the target."""
         low, high = self.limits(env_ids)

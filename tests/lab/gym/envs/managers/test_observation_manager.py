@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError
 
 
@@ -103,6 +104,42 @@ def test_wrong_shapes_name_the_term(make, func, part) -> None:
 def test_a_scale_of_another_width_names_the_term(make) -> None:
     with pytest.raises(ConfigError, match=r"observations\.a\.scale: has 3 values"):
         make(observations={"a": term(1.0, scale=[1.0, 2.0, 3.0])})
+
+
+class HeatImage(Term):
+    """Float32 pixels, which only the mark makes an image."""
+
+    reads_images = True
+
+    def __init__(self, env) -> None:
+        self._shape = (env.num_envs, 1, 4, 5)
+
+    def __call__(self, env, obs) -> torch.Tensor:
+        return torch.full(self._shape, 20.0)
+
+
+def test_images_are_what_a_term_marks_and_what_has_pixels(make) -> None:
+    def pixels(env, obs) -> torch.Tensor:
+        return torch.zeros(env.num_envs, 3, 4, 5, dtype=torch.uint8)
+
+    def matrices(env, obs) -> torch.Tensor:
+        return torch.zeros(env.num_envs, 3, 4, 5)
+
+    env = make(
+        observations={
+            "marked": ObservationCfg(func=HeatImage, group="images"),
+            "pixels": ObservationCfg(func=pixels, group="images"),
+            "matrices": ObservationCfg(func=matrices),
+        }
+    )
+    obs, _ = env.reset()
+    manager = env.observation_manager
+    assert manager.image_terms("images") == ("marked", "pixels")
+    assert manager.image_terms() == ()
+    assert manager.flatten(obs).shape == (3, 60)
+    assert obs["marked"].shape == (3, 1, 4, 5)
+    with pytest.raises(ValueError, match="'images' is not a flat vector: marked, pixels are"):
+        manager.flatten(obs, "images")
 
 
 def test_classes_are_reset(make) -> None:

@@ -94,7 +94,7 @@ _LEAD_OF_QUANTITIES = ("obs", "action", "info")
 """Arguments that a quantity may take after `env`, in this order; not in observations."""
 
 T = TypeVar("T", bound=Callable[..., Any])
-Draws = Callable[..., Iterable[Any]]
+DrawDeclaration = Callable[..., Iterable[Any]]
 """Parameters of an event -> its `PhysicsDraw`s (`physics_draws`)."""
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
 _MODULES = ("shapes", "sampled_commands", "curricula", "terrain")
@@ -129,7 +129,7 @@ class TermSpec:
     open_params: bool = False
     lead: tuple[str, ...] | None = None
     _hints: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
-    draws: Draws | None = field(default=None, kw_only=True)
+    draws: DrawDeclaration | None = field(default=None, kw_only=True)
 
     @property
     def is_class(self) -> bool:
@@ -255,7 +255,7 @@ TERMS = _TermTable()
 
 
 def register_term(
-    *kinds: Kind, name: str | None = None, draws: Draws | None = None
+    *kinds: Kind, name: str | None = None, draws: DrawDeclaration | None = None
 ) -> Callable[[T], T]:
     """Make a function or class available to configs under a name.
 
@@ -352,7 +352,7 @@ def _lead_of(func: Callable[..., Any]) -> tuple[str, ...]:
 
 _LEADS: dict[Callable[..., Any], tuple[str, ...]] = {}
 """Quantities -> the arguments that they take after `env`."""
-_DRAWS: dict[Callable[..., Any], Draws] = {}
+_DRAWS: dict[Callable[..., Any], DrawDeclaration] = {}
 """Events -> what they declare to draw; also for those that a config names by their path."""
 SHAPES: dict[str, TermSpec] = {}
 """Every registered shape by name; filled with the terms."""

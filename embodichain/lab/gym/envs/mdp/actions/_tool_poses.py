@@ -6,7 +6,7 @@ Poses are in the environment's frame, unless a name says otherwise; quaternions 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.gym.envs.managers.param_types import Box3
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.utils.array_types import Floats
 
 __all__ = [
@@ -96,7 +97,7 @@ class AbsolutePose:
 
     def __init__(
         self,
-        asset: Any,
+        asset: Articulation,
         solver: ArmSolver,
         env: TermContext,
         frame: Literal["base", "world"],
@@ -110,7 +111,7 @@ class AbsolutePose:
 
         root_pos = np.zeros(3)
         if self._is_world:
-            root_pos = np.asarray(asset.entity.pos0, np.float64)
+            root_pos = np.asarray(asset.index.pos0, np.float64)
         if position_range is None:
             low = root_pos - solver.chain.reach
             high = root_pos + solver.chain.reach
@@ -132,7 +133,7 @@ class AbsolutePose:
         initial_qpos = np.asarray(asset.parsed.init_qpos, np.float64)[None]
         pos, quat = solver.forward_in_root(initial_qpos, np.zeros(1, np.int64))
         if self._is_world:
-            root_quat = np.asarray(asset.entity.quat0, np.float64)[None]
+            root_quat = np.asarray(asset.index.quat0, np.float64)[None]
             pos = root_pos + quat_rotate(root_quat, pos)
             quat = quat_multiply(root_quat, quat)
         self.home: Floats = self.action_at(pos, quat)[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
     from embodichain.utils.array_types import Floats
 
 __all__ = ["ActuatorCtrl", "picked_controls"]
@@ -63,14 +64,14 @@ class ActuatorCtrl(ActionTerm):
         clip: JointClip | None = None,
     ) -> None:
         self._period = env.step_dt
-        self._asset: Any = entity_cfg.asset
-        parsed = getattr(self._asset, "parsed", None)
-        if parsed is None or not parsed.control_names:
+        self._asset = entity_cfg.articulation
+        if not entity_cfg.is_articulation or not self._asset.parsed.control_names:
             message = f"{entity_cfg.uid!r} has no actuators"
             raise ConfigError([Problem("entity_cfg.uid", message)])
         if list(entity_cfg.joint_ids) != self._asset.active_joint_ids:
             message = "picks joints; this term picks actuators: actuator_names"
             raise ConfigError([Problem("entity_cfg", message)])
+        parsed = self._asset.parsed
         self._which, named_by = picked_controls(actuator_names, parsed.control_names)
         self.names = tuple(parsed.control_names[i] for i in self._which)
         self.named_by = named_by
@@ -89,10 +90,10 @@ class ActuatorCtrl(ActionTerm):
         self._require_bounds()
         self._initial: Floats = parsed.init_ctrl[self._which]
 
-    def _control_ranges(self, parsed: Any) -> tuple[Floats, Floats]:
+    def _control_ranges(self, parsed: ParsedArticulation) -> tuple[Floats, Floats]:
         """Low and high of the controls, (A,) each; infinite where nothing bounds them."""
         limits: Floats = parsed.ctrl_limits.copy()
-        index = self._asset.entity
+        index = self._asset.index
         joints = np.flatnonzero((index.ctrl_ids >= 0) & (parsed.stiffness > 0))
         low, high = finite_limits(parsed.qpos_limits, joints)
         # The joint's limits in units of ctrl; a negative scale turns them round.

@@ -32,7 +32,7 @@ from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
 )
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.lab.sim.solvers.chain import matmul
-from embodichain.lab.sim.solvers.least_squares import Target, pose_error
+from embodichain.lab.sim.solvers.least_squares import IkTargets, pose_error
 from embodichain.utils.arrays import contiguous, precise
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
@@ -219,7 +219,7 @@ class EefPose(EefTerm):
         """Move the targets towards the poses of (N, A) actions."""
         commanded = self._commanded()
         pos, quat = self._poses.asked(action, lambda: self._pose(commanded)[1])
-        target = self._solver.to_root(pos, quat) if self._is_world else Target.of(pos, quat)
+        target = self._solver.to_root(pos, quat) if self._is_world else IkTargets.of(pos, quat)
         frames = self._solver.frames(commanded)
         self._follow(commanded, frames, pose_error(frames, target))
 
@@ -353,9 +353,9 @@ class EefDeltaPose(EefTerm):
         return np.stack([matmul(axes, vector) for vector in vectors])
 
 
-def _move(start: Frames, motion: Floats) -> Target:
+def _move(start: Frames, motion: Floats) -> IkTargets:
     """The pose of the tool, translated and, if there is one, rotated by a rotation vector."""
     if len(motion) == 1:
-        return Target(start.position + motion[0], None)
+        return IkTargets(start.position + motion[0], None)
     turn = np.moveaxis(quat_to_matrix(rotvec_to_quat(motion[1].T)), 0, -1)
-    return Target(start.position + motion[0], matmul(turn, start.rotation))
+    return IkTargets(start.position + motion[0], matmul(turn, start.rotation))

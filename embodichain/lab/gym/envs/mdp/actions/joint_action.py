@@ -173,13 +173,13 @@ class JointTerm(ActionTerm):
         driven: bool = True,
         positions: bool = True,
     ) -> None:
-        asset = entity.asset
-        if not hasattr(asset, "parsed"):
+        asset = entity.articulation
+        if not entity.is_articulation:
             raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])
         if not entity.joint_ids:
             raise ConfigError([Problem("entity_cfg", f"{entity.uid!r} has no active joint")])
         self.names = entity.joint_names
-        self._asset: Any = asset
+        self._asset = asset
         self._ids: NDArray[np.int64] = np.asarray(entity.joint_ids, np.int64)
         self._joints = None if entity.all_joints else self._ids
         self._named_by = entity.joints_by
@@ -194,7 +194,7 @@ class JointTerm(ActionTerm):
     def _check_drives(self) -> None:
         """Refuse joints without a drive; name the actuators that move them instead."""
         parsed = self._asset.parsed
-        has_drive = np.asarray(self._asset.entity.actuator_ids)[self._ids] >= 0
+        has_drive = np.asarray(self._asset.index.actuator_ids)[self._ids] >= 0
         undriven = [self.names[i] for i in np.flatnonzero(~has_drive)]
         if not undriven:
             return
@@ -258,11 +258,11 @@ class VelocityTargets:
         ConfigError: If a joint has neither stiffness nor damping.
     """
 
-    def __init__(self, asset: Any, joints: NDArray[np.int64], period: float) -> None:
+    def __init__(self, asset: Articulation, joints: NDArray[np.int64], period: float) -> None:
         self._asset = asset
         self._joints = joints
         self._period = period
-        to_host = asset.host.arrays.host
+        to_host = asset.sim.arrays.host
         has_stiffness = to_host(asset.drives.stiffness)[0, joints] > 0
         has_damping = to_host(asset.drives.damping)[0, joints] > 0
         undriven = [asset.parsed.joint_names[j] for j in joints[~(has_stiffness | has_damping)]]
@@ -304,11 +304,11 @@ class Efforts:
         joints: (A,) indices of its joints.
     """
 
-    def __init__(self, asset: Any, joints: NDArray[np.int64]) -> None:
+    def __init__(self, asset: Articulation, joints: NDArray[np.int64]) -> None:
         self._asset = asset
         self._joints = joints
-        self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[joints]
-        has_stiffness = asset.host.arrays.host(asset.drives.stiffness)[0, joints] > 0
+        self._dofs = np.asarray(asset.index.dof_adr, np.int64)[joints]
+        has_stiffness = asset.sim.arrays.host(asset.drives.stiffness)[0, joints] > 0
         if has_stiffness.any():
             logger.warning(
                 "joint_effort: joints %s have a drive with stiffness that keeps its own target "

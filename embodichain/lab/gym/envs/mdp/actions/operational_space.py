@@ -225,7 +225,7 @@ class OperationalSpace(JointTerm):
     def _refuse_drives(self) -> None:
         """Refuse joints with a drive that pulls or damps."""
         drives = self._asset.drives
-        has_drive = np.asarray(self._asset.entity.actuator_ids)[self._ids] >= 0
+        has_drive = np.asarray(self._asset.index.actuator_ids)[self._ids] >= 0
         has_stiffness = self._arrays.host(drives.stiffness)[0, self._ids] > 0
         has_damping = self._arrays.host(drives.damping)[0, self._ids] > 0
         acts = has_drive & (has_stiffness | has_damping)

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
+    from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.utils.array_types import Floats
 else:
     mujoco = lazy_loader.load("mujoco")
@@ -228,7 +230,7 @@ class ParallelGripper(JointTerm):
         if self._controls is not None:
             return self._controls.force(self._asset, model, data, np.sign(self._span))
         force = np.zeros(model.nv)
-        force[np.asarray(self._asset.entity.dof_adr)[self._ids]] = np.sign(self._span)
+        force[np.asarray(self._asset.index.dof_adr)[self._ids]] = np.sign(self._span)
         return force
 
     def _share(self, position: Floats) -> Floats:
@@ -285,7 +287,7 @@ class _Controls:
         initial: (A,) initial controls.
     """
 
-    def __init__(self, asset: Any, patterns: Names, forced: bool) -> None:
+    def __init__(self, asset: Articulation, patterns: Names, forced: bool) -> None:
         parsed = asset.parsed
         self.which, self.named_by = picked_controls(patterns, parsed.control_names)
         self.names = tuple(parsed.control_names[i] for i in self.which)
@@ -306,10 +308,10 @@ class _Controls:
         self._levers = [(joint, levers[:, joint]) for joint in moving]
 
     def force(
-        self, asset: Any, model: mujoco.MjModel, data: mujoco.MjData, signs: Floats
+        self, asset: Articulation, model: mujoco.MjModel, data: mujoco.MjData, signs: Floats
     ) -> Floats:
         """(nv,) generalized forces of controls that are raised (1) or lowered (-1), (A,)."""
-        columns = np.asarray(asset.entity.own_ctrl_ids)[self.which]
+        columns = np.asarray(asset.index.own_ctrl_ids)[self.which]
         force: Floats = np.zeros(model.nv)
         for actuator in range(model.nu):
             first = model.actuator_ctrladr[actuator]
@@ -322,12 +324,12 @@ class _Controls:
             sign = (-1.0 if is_reversed else 1.0) * signs[is_of_actuator].sum()
             first_output = model.actuator_outadr[actuator]
             for row in range(first_output, first_output + model.actuator_outnum[actuator]):
-                start = data.moment_rowadr[row]
-                entries = slice(start, start + data.moment_rownnz[row])
+                first_entry = data.moment_rowadr[row]
+                entries = slice(first_entry, first_entry + data.moment_rownnz[row])
                 force[data.moment_colind[entries]] += sign * data.actuator_moment[entries]
         return force
 
-    def at_rest(self, asset: Any) -> Floats | None:
+    def at_rest(self, asset: Articulation) -> Floats | None:
         """Controls (N, A) at which servos have no force; None if they are not servos."""
         if not self._are_servos:
             return None
@@ -378,7 +380,7 @@ class _Servo:
     levers: Floats
 
 
-def _read_servo(parsed: Any, name: str) -> _Servo:
+def _read_servo(parsed: ParsedArticulation, name: str) -> _Servo:
     """Read an actuator of a robot's file.
 
     Raises:
@@ -397,7 +399,7 @@ def _read_servo(parsed: Any, name: str) -> _Servo:
     raise ConfigError([Problem("force", message)])
 
 
-def _read_levers(parsed: Any, actuator: int) -> Floats:
+def _read_levers(parsed: ParsedArticulation, actuator: int) -> Floats:
     """(D,) length of an actuator's transmission per position of each joint, without its gear.
 
     It is 0 where an actuator does not exist, has a state of its own, or has another transmission.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import EventDraws, TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.sensors.camera import StereoCamera
     from embodichain.utils.array_types import Floats
 
 __all__ = ["RandomizeCameraFovy", "RandomizeCameraIntrinsics", "RandomizeCameraPose"]
@@ -66,9 +67,10 @@ class RandomizeCameraPose(Term):
     ) -> None:
         self._id = _camera_id(env, camera)
         self._engine = env.sim.engine
+        self._stereo: StereoCamera | None = None
         sensor = env.sensors.get(camera)
-        is_stereo = len(getattr(sensor, "eyes", ())) > 1
-        self._stereo: Any = sensor if is_stereo else None
+        if len(getattr(sensor, "eyes", ())) > 1:
+            self._stereo = sensor
         self._pos0: Floats
         self._quat0: Floats
         if self._stereo is not None:
@@ -85,7 +87,7 @@ class RandomizeCameraPose(Term):
         """Draw and write the camera's pose in these environments."""
         draws = env.event_manager
         if self._stereo is not None:
-            self._move_stereo(draws, env_ids)
+            self._move_stereo(self._stereo, draws, env_ids)
             return
         if self._move is not None:
             pos = self._pos0 + self._move(draws, env_ids)
@@ -97,7 +99,9 @@ class RandomizeCameraPose(Term):
             columns = slice(4 * self._id, 4 * self._id + 4)
             self._engine.write_model("cam_quat", quat, env_ids, columns)
 
-    def _move_stereo(self, draws: EventDraws, env_ids: EnvIndex | None) -> None:
+    def _move_stereo(
+        self, stereo: StereoCamera, draws: EventDraws, env_ids: EnvIndex | None
+    ) -> None:
         """Draw and write the pose of a stereo camera, both eyes together."""
         count = len(self._quat0) if env_ids is None else len(env_ids)
         pos = np.tile(self._pos0, (count, 1))
@@ -106,7 +110,7 @@ class RandomizeCameraPose(Term):
             pos = pos + self._move(draws, env_ids)
         if self._turn is not None:
             quat = quat_multiply(quat, euler_xyz_to_quat(self._turn(draws, env_ids)))
-        self._stereo.write_local_pose(pos, quat, env_ids)
+        stereo.write_local_pose(pos, quat, env_ids)
 
 
 @register_term("event", name="randomize_camera_fovy")

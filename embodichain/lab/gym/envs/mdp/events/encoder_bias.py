@@ -41,7 +41,7 @@ class EncoderBias(Term):
     def __init__(self, env: TermContext, entity_cfg: Whole, bias_range: Range) -> None:
         if not entity_cfg.joint_ids:
             raise ConfigError([Problem("entity_cfg.uid", f"{entity_cfg.uid!r} has no joints")])
-        self._asset: Any = entity_cfg.asset
+        self._asset = entity_cfg.articulation
         self._joints: NDArray[np.int64] = np.asarray(entity_cfg.joint_ids, np.int64)
         count = len(self._joints)
         self._bias = Uniform("bias", *(np.full(count, end) for end in bias_range))

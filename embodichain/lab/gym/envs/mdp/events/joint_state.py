@@ -52,16 +52,17 @@ class ResetJoints(Term):
     ) -> None:
         if not entity_cfg.joint_ids:
             raise ConfigError([Problem("entity_cfg.uid", f"{entity_cfg.uid!r} has no joints")])
-        self._asset = asset = entity_cfg.asset
+        asset = entity_cfg.articulation
+        self._asset = asset
         self._joints: NDArray[np.int64] = np.asarray(entity_cfg.joint_ids, np.int64)
         count = len(self._joints)
-        self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[self._joints]
+        self._dofs = np.asarray(asset.index.dof_adr, np.int64)[self._joints]
         self._initial_qpos = entity_cfg.initial_qpos
         initial_qvel: Floats = np.asarray(asset.parsed.init_qvel, np.float64)[self._joints]
         # A plain 0 where no keyframe has velocities, so that one number is written for all joints.
         self._initial_qvel: Any = initial_qvel if initial_qvel.any() else 0.0
         self._limits: Floats = np.asarray(asset.parsed.qpos_limits, np.float64)[self._joints]
-        has_drive = np.asarray(asset.entity.actuator_ids)[self._joints] >= 0
+        has_drive = np.asarray(asset.index.actuator_ids)[self._joints] >= 0
         self._driven: NDArray[np.int64] = np.flatnonzero(has_drive)
         self._operation = operation
         rows: Any = position_range

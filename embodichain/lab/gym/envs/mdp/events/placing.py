@@ -6,7 +6,7 @@ velocities here are in the environment's.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -31,6 +31,8 @@ from embodichain.utils.math import (
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.lab.sim.objects.rigid_object import RigidObject
     from embodichain.utils.array_types import Floats
 
 __all__ = [
@@ -66,7 +68,7 @@ def need_free_root(entity: ResolvedEntity) -> None:
     Raises:
         ConfigError: If its base is fixed, or it is an object that is not dynamic.
     """
-    if entity.asset.entity.free_qvel_adr < 0:
+    if entity.asset.index.free_qvel_adr < 0:
         message = (
             f"{entity.uid!r} cannot get a velocity: it needs body_type: dynamic (an object) or "
             "fix_base: false (a robot)"
@@ -74,15 +76,17 @@ def need_free_root(entity: ResolvedEntity) -> None:
         raise ConfigError([Problem("entity_cfg.uid", message)])
 
 
-def read_root_velocity(asset: Any) -> Floats:
+def read_root_velocity(asset: Articulation | RigidObject) -> Floats:
     """(N, 6) linear velocity of the root's origin in m/s, then angular in rad/s; a copy."""
-    start = asset.entity.free_qvel_adr
-    qvel = asset.engine.state("qvel")[:, start : start + 6]
+    first = asset.index.free_qvel_adr
+    qvel = asset.engine.state("qvel")[:, first : first + 6]
     _, quat = asset.read_pose()
     return np.concatenate([qvel[:, :3], quat_rotate(quat, qvel[:, 3:])], axis=1)
 
 
-def write_root_velocity(asset: Any, velocity: Floats, env_ids: EnvIndex | None) -> None:
+def write_root_velocity(
+    asset: Articulation | RigidObject, velocity: Floats, env_ids: EnvIndex | None
+) -> None:
     """Set the root's velocity.
 
     Args:
@@ -90,13 +94,13 @@ def write_root_velocity(asset: Any, velocity: Floats, env_ids: EnvIndex | None) 
         velocity: (n, 6) linear in m/s, then angular in rad/s.
         env_ids: (n,) environments, or None for all.
     """
-    start = asset.entity.free_qvel_adr
+    first = asset.index.free_qvel_adr
     _, quat = asset.read_pose()
     if env_ids is not None:
         quat = quat[env_ids]
     angular = quat_rotate(quat_conjugate(quat), velocity[:, 3:])
     qvel = np.concatenate([velocity[:, :3], angular], axis=1)
-    asset.engine.write("qvel", qvel, env_ids, slice(start, start + 6))
+    asset.engine.write("qvel", qvel, env_ids, slice(first, first + 6))
 
 
 @register_term("event")
@@ -148,7 +152,7 @@ class ResetRootStateUniform(Term):
             need_free_root(entity_cfg)
         self._asset = entity_cfg.asset
         self._ground = ground_of(env)
-        index = entity_cfg.asset.entity
+        index = entity_cfg.asset.index
         self._has_velocity = index.free_qvel_adr >= 0
         self._pos0 = _rows_of(index.pos0, env)
         self._quat0 = _rows_of(index.quat0, env)
@@ -216,20 +220,19 @@ class RandomizePose(Term):
     ) -> None:
         asset = entity_cfg.asset
         self._asset = asset
-        if hasattr(asset, "parsed"):
-            self._stop = asset.clear_dynamics
-        elif asset.is_non_dynamic:
-            self._stop = None
-        else:
-            self._stop = asset.stop
+        self._stop: Callable[[EnvIndex | None], None] | None = None
+        if entity_cfg.is_articulation:
+            self._stop = entity_cfg.articulation.clear_dynamics
+        elif not entity_cfg.rigid_object.is_non_dynamic:
+            self._stop = entity_cfg.rigid_object.stop
         self._steps = physics_update_step
         if physics_update_step > 0:
             env.arrays.require_host("physics steps of some environments", "physics_update_step")
         if relative_to is not None and not relative_position:
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
-        self._pos0 = _rows_of(asset.entity.pos0, env)
-        self._quat0 = _rows_of(asset.entity.quat0, env)
+        self._pos0 = _rows_of(asset.index.pos0, env)
+        self._quat0 = _rows_of(asset.index.quat0, env)
         self._relative_to = relative_to
         self._ground = ground_of(env) if relative_to is None else None
         self._position: Uniform | None = None
@@ -237,7 +240,7 @@ class RandomizePose(Term):
             shift: Any = 0.0
             if relative_position and relative_to is None:
                 # Added to the bounds, so that what is drawn and logged is the position.
-                shift = np.asarray(asset.entity.pos0, np.float64)
+                shift = np.asarray(asset.index.pos0, np.float64)
             low, high = (np.asarray(bound) + shift for bound in position_range)
             self._position = Uniform("position", low, high)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
@@ -312,7 +315,7 @@ class RandomizeObjectPositionInShell(Term):
         elevation_range: Range = (-_RIGHT_ANGLE, _RIGHT_ANGLE),
     ) -> None:
         problems: list[Problem] = []
-        if not hasattr(entity_cfg.asset, "is_non_dynamic"):
+        if entity_cfg.is_articulation:
             problems.append(Problem("entity_cfg.uid", f"{entity_cfg.uid!r} is not a rigid object"))
         if radius_range[0] < 0:
             message = f"must not be negative, got {list(radius_range)}"
@@ -322,13 +325,13 @@ class RandomizeObjectPositionInShell(Term):
             problems.append(Problem("elevation_range", message))
         if problems:
             raise ConfigError(problems)
-        self._asset = entity_cfg.asset
+        self._asset = entity_cfg.rigid_object
         self._centre = relative_to
         low, high = (
             [radius_range[i] ** 3, azimuth_range[i], np.sin(elevation_range[i])] for i in (0, 1)
         )
         self._shell = Uniform("shell", low, high)
-        self._quat = _rows_of(self._asset.entity.quat0, env)
+        self._quat = _rows_of(self._asset.index.quat0, env)
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
@@ -376,11 +379,11 @@ class RandomizeRobotEefPose(Term):
         rotation_range: Box3 | None = None,
     ) -> None:
         env.arrays.require_host("searches for joint positions")
-        self._asset = entity_cfg.asset
+        self._asset = entity_cfg.articulation
         self._arm = arm_solver(entity_cfg)
         self._position = Uniform.within("position", position_range)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
-        index = self._asset.entity
+        index = self._asset.index
         self._dofs = np.asarray(index.dof_adr, np.int64)
         self._driven = np.flatnonzero(np.asarray(index.actuator_ids) >= 0)
 

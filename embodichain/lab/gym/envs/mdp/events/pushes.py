@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.drawing import Timer
 from embodichain.lab.gym.envs.managers.param_types import Axes6, Frames, Range, Whole
+from embodichain.lab.gym.envs.managers.random_managers import Timer
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp.events.placing import (
@@ -44,9 +44,9 @@ class EpisodeTimer:
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Stop the timer of these environments."""
-        rows: Any = slice(None) if env_ids is None else env_ids
-        self._timer.left[rows] = 0
-        self._seen[rows] = 0
+        where: Any = slice(None) if env_ids is None else env_ids
+        self._timer.left[where] = 0
+        self._seen[where] = 0
 
     def stopped(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Return those environments whose timer has not been started in this episode."""
@@ -145,7 +145,7 @@ class ApplyExternalForceTorque(Term):
         torque_range: Range = (0.0, 0.0),
     ) -> None:
         asset = entity_cfg.asset
-        index = asset.entity
+        index = asset.index
         if not entity_cfg.frame_ids and index.free_qvel_adr < 0:
             message = (
                 f"the root of {entity_cfg.uid!r} does not move, forces have no effect on it: "
@@ -176,8 +176,8 @@ class ApplyExternalForceTorque(Term):
         """(n, 6 k) no forces, and the moments of the drawn forces about the centres of mass."""
         engine = self._engine
         frames = self._frames
-        rows: Any = slice(None) if env_ids is None else env_ids
-        lever = frames.positions(engine)[rows] - engine.derived("xipos")[rows][:, frames.bodies]
+        where: Any = slice(None) if env_ids is None else env_ids
+        lever = frames.positions(engine)[where] - engine.derived("xipos")[where][:, frames.bodies]
         forces = wrenches.reshape(len(wrenches), -1, 6)[..., :3]
         moments = cross(lever, forces)
         no_forces = np.zeros_like(moments)

@@ -216,7 +216,7 @@ class Randomize:
             for entity in entities:
                 prefix = f"{entity.uid}." if len(entities) > 1 else ""
                 self._add_entities(env, [entity], prefix)
-        self._draw = Draw(self._drawn_fields, distribution)
+        self._draw = FieldDraw(self._drawn_fields, distribution)
 
     def _add_scene(self, env: TermContext) -> None:
         """Add the fields of the scene."""
@@ -294,7 +294,7 @@ def _check_limits(
     first_drawn = lower or upper
     if first_drawn is None:
         return
-    parsed = entity.asset.parsed
+    parsed = entity.articulation.parsed
     joints = np.asarray(entity.joint_ids, np.int64)
     highest_lower, lowest_upper = np.asarray(parsed.qpos_limits, np.float64)[joints].T.copy()
     if lower is not None:
@@ -388,7 +388,7 @@ def _read_ranges(param: str, ranges: Any, names: Sequence[str]) -> tuple[Floats,
     return low, high
 
 
-class Draw:
+class FieldDraw:
     """Draws all fields of one term in one call: a call takes as long as 1000 of its numbers.
 
     Args:

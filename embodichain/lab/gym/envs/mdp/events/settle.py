@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.lab.sim.objects.rigid_object import RigidObject
     from embodichain.utils.array_types import EnvIds, Floats
 
 __all__ = ["NotAtRestError", "WaitForDynamicObjectsToSettle", "set_detached_uids_for_env_reset"]
@@ -93,8 +95,11 @@ class WaitForDynamicObjectsToSettle(Term):
     ) -> None:
         env.arrays.require_host("physics steps of some environments")
         if entity_cfgs is None:
-            handles = [o for o in env.sim.rigid_objects.values() if not o.is_non_dynamic]
-            self._assets: list[Any] = [*handles, *env.sim.articulations.values()]
+            objects = [o for o in env.sim.rigid_objects.values() if not o.is_non_dynamic]
+            self._assets: list[Articulation | RigidObject] = [
+                *objects,
+                *env.sim.articulations.values(),
+            ]
         else:
             self._assets = [_need_dynamic(entity, i) for i, entity in enumerate(entity_cfgs)]
         if not self._assets:
@@ -157,7 +162,7 @@ class WaitForDynamicObjectsToSettle(Term):
         return all_slow
 
 
-def _need_dynamic(entity: ResolvedEntity, number: int) -> Any:
+def _need_dynamic(entity: ResolvedEntity, number: int) -> Articulation | RigidObject:
     """Return the handle of an entity that can come to rest.
 
     Raises:
@@ -169,9 +174,9 @@ def _need_dynamic(entity: ResolvedEntity, number: int) -> Any:
     return entity.asset
 
 
-def _velocities(asset: Any) -> list[Floats]:
+def _velocities(asset: Articulation | RigidObject) -> list[Floats]:
     """(N, 6) linear and angular velocities, of the object or of each link."""
     if not hasattr(asset, "parsed"):
         return [read_root_velocity(asset)]
-    bodies = asset.entity.body_ids
-    return [asset.velocity_of(int(body)) for body in bodies]
+    articulation = cast("Articulation", asset)
+    return [articulation.velocity_of(int(body)) for body in articulation.index.body_ids]

@@ -45,7 +45,7 @@ class RandomizeShape(Term):
         entity_cfg: Whole,
         weights: Mapping[str, NonNegative] | None = None,
     ) -> None:
-        self._object = entity_cfg.asset
+        self._object = entity_cfg.rigid_object
         names = getattr(self._object, "shape_names", ())
         if not names:
             message = f"{entity_cfg.uid!r} has no any_of: there is one shape"

@@ -44,7 +44,7 @@ class _Surface:
         asset = entity.asset
         self._engine = asset.engine
         model = asset.engine.model
-        geoms = np.asarray(asset.entity.geom_ids)
+        geoms = np.asarray(asset.index.geom_ids)
         if entity.kind == "geom":
             geoms = np.arange(model.ngeom)[entity.frames.ids]
         elif entity.link_ids:
@@ -54,7 +54,7 @@ class _Surface:
         if not visible_geoms:
             raise ConfigError([Problem("entity_cfg", f"nothing of {entity.uid!r} is visible")])
         self._materials = sorted({int(model.geom_matid[geom]) for geom in visible_geoms})
-        self.is_object = not hasattr(asset, "parsed") and entity.kind != "geom"
+        self.is_object = not entity.is_articulation and entity.kind != "geom"
         if self.is_object:
             self._color_field = "mat_rgba"
             rows = self._materials

@@ -95,22 +95,26 @@ def heading(quat: Floats, kind: Heading) -> Floats:
         (N, 1) rad or (N, 2); yaw 0 where the x axis is vertical.
     """
     w, x, y, z = (quat[:, i] for i in range(4))
-    ahead, left = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    # The x axis in the horizontal plane: cosine and sine of the angle, times its length there.
+    ahead = 1.0 - 2.0 * (y * y + z * z)
+    left = 2.0 * (x * y + w * z)
     if kind == "yaw":
         return np.arctan2(left, ahead)[:, None]
     length = np.sqrt(ahead * ahead + left * left)
-    vertical = length == 0.0
-    length = np.where(vertical, 1.0, length)
-    return np.stack([left / length, np.where(vertical, 1.0, ahead / length)], axis=1)
+    is_vertical = length == 0.0
+    length = np.where(is_vertical, 1.0, length)
+    sine = left / length
+    cosine = np.where(is_vertical, 1.0, ahead / length)
+    return np.stack([sine, cosine], axis=1)
 
 
 def pose_matrix(position: Floats, quat: Floats) -> Floats:
     """(..., 4, 4) of positions (..., 3) and unit wxyz quaternions (..., 4)."""
-    out = zeros((*position.shape[:-1], 4, 4), position)
-    out[..., :3, :3] = quat_to_matrix(quat)
-    out[..., :3, 3] = position
-    out[..., 3, 3] = 1.0
-    return out
+    matrix = zeros((*position.shape[:-1], 4, 4), position)
+    matrix[..., :3, :3] = quat_to_matrix(quat)
+    matrix[..., :3, 3] = position
+    matrix[..., 3, 3] = 1.0
+    return matrix
 
 
 Axes = Annotated[
@@ -119,10 +123,12 @@ Axes = Annotated[
 ]
 
 
-def _of_axes(vectors: Floats, axes: Axes) -> Floats:
+def _pick_axes(vectors: Floats, axes: Axes) -> Floats:
     """Columns of (N, 3) vectors, picked by their letters: a view."""
-    first, last = "xyz".index(axes[0]), "xyz".index(axes[-1])
-    return vectors[:, first : last + 1 : 2 if axes == "xz" else 1]
+    first = "xyz".index(axes[0])
+    last = "xyz".index(axes[-1])
+    step = 2 if axes == "xz" else 1
+    return vectors[:, first : last + 1 : step]
 
 
 @quantity()
@@ -132,7 +138,7 @@ def position(env: TermContext, of: Body, axes: Axes = "xyz") -> Floats:
     Example:
         ``{func: position, params: {of: {uid: cube}}}``
     """
-    return _of_axes(of.position(), axes)
+    return _pick_axes(of.position(), axes)
 
 
 @quantity()
@@ -166,8 +172,10 @@ def shape_index(env: TermContext, entity_cfg: Whole, one_hot: bool = False) -> F
     if not names:
         message = f"{entity_cfg.uid!r} has no any_of: there is one shape"
         raise ConfigError([Problem("entity_cfg.uid", message)])
-    number: NDArray[np.int64] = entity_cfg.asset.read_shape()
-    return rows_at(np.eye(len(names)), number) if one_hot else number.astype(np.float64)
+    number = entity_cfg.rigid_object.read_shape()
+    if one_hot:
+        return rows_at(np.eye(len(names)), number)
+    return number.astype(np.float64)
 
 
 @quantity("observation")
@@ -225,7 +233,8 @@ def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> Floats:
     Example:
         ``{func: projected_gravity, params: {of: {uid: go}}}``
     """
-    return _of_axes(rotate_back(of.axes(), gravity_direction(env.sim.engine)), axes)
+    gravity = rotate_back(of.axes(), gravity_direction(env.sim.engine))
+    return _pick_axes(gravity, axes)
 
 
 @quantity()
@@ -281,7 +290,7 @@ def linear_velocity(
     Example:
         ``{func: linear_velocity, params: {of: {uid: go}, frame: body}}``
     """
-    return _of_axes(of.linear_velocity(frame), axes)
+    return _pick_axes(of.linear_velocity(frame), axes)
 
 
 @quantity()
@@ -296,7 +305,7 @@ def angular_velocity(
     Example:
         ``{func: angular_velocity, params: {of: {uid: go}, frame: body}}``
     """
-    return _of_axes(of.angular_velocity(frame), axes)
+    return _pick_axes(of.angular_velocity(frame), axes)
 
 
 @quantity("reward", "metric", name="link_acceleration")
@@ -314,16 +323,17 @@ class LinkAcceleration(Term):
     """
 
     def __init__(self, env: TermContext, of: Frames) -> None:
-        if not of.frame_names and hasattr(of.asset, "parsed"):
+        if not of.frame_names and of.is_articulation:
             of = env.scene_entity({"uid": of.uid, "link_names": ".*"})
-        self._engine, self._frames = env.sim.engine, of.frames
+        self._engine = env.sim.engine
+        self._frames = of.frames
         self._rate = Rate(env)
 
     def __call__(self) -> Floats:
         """(N, L) m/s^2."""
-        linear = self._frames.velocities(self._engine)[0]
-        change = self._rate(linear.reshape(len(linear), -1)).reshape(linear.shape)
-        x, y, z = change[..., 0], change[..., 1], change[..., 2]
+        linear, _ = self._frames.velocities(self._engine)
+        acceleration = self._rate(linear.reshape(len(linear), -1)).reshape(linear.shape)
+        x, y, z = (acceleration[..., i] for i in range(3))
         return np.sqrt(x * x + y * y + z * z)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
@@ -369,16 +379,13 @@ def speed(
     Raises:
         ConfigError: If the direction is zero.
     """
-    moving = of.linear_velocity()
     if direction is None:
-        return norm(moving)
-    along = np.asarray(direction, np.float64)
-    length = float(norm(along[None])[0])
+        return norm(of.linear_velocity())
+    vector = np.asarray(direction, np.float64)
+    length = float(norm(vector[None])[0])
     if length == 0.0:
         raise ConfigError([Problem("direction", "must not be zero")])
-    if frame == "body":
-        moving = of.linear_velocity("body")
-    return total(moving * (along / length))
+    return total(of.linear_velocity(frame) * (vector / length))
 
 
 @quantity("reward", "metric", "termination")
@@ -403,10 +410,10 @@ def at_rest(
     """
     if linear_threshold is None and angular_threshold is None:
         raise ConfigError([Problem("", "give linear_threshold, angular_threshold or both")])
-    linear = np.inf if linear_threshold is None else linear_threshold
-    angular = np.inf if angular_threshold is None else angular_threshold
-    slow: NDArray[np.bool_] = norm(of.linear_velocity()) < linear
-    return slow & (norm(of.angular_velocity()) < angular)
+    linear_limit = np.inf if linear_threshold is None else linear_threshold
+    angular_limit = np.inf if angular_threshold is None else angular_threshold
+    is_slow: NDArray[np.bool_] = norm(of.linear_velocity()) < linear_limit
+    return is_slow & (norm(of.angular_velocity()) < angular_limit)
 
 
 def _one_or_all(values: Floats) -> Floats:

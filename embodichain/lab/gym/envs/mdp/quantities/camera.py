@@ -29,14 +29,22 @@ __all__ = ["CameraImage", "CameraMask", "CameraPoints", "camera_intrinsics", "ca
 Side = Literal["left", "right"]
 
 
-def _named(sensor: Camera, kind: str, side: Side, key: str) -> str:
-    """The name of a camera's image; ConfigError for `key` if its config does not ask for it."""
+def _image_name(sensor: Camera, kind: str, side: Side, key: str) -> str:
+    """Return the name of a camera's image.
+
+    Args:
+        sensor: The camera.
+        kind: What is drawn, such as ``color``.
+        side: The eye.
+        key: The parameter that asks for the image, for the message.
+
+    Raises:
+        ConfigError: If the camera's config does not ask for this image.
+    """
     name = kind if side == "left" else f"{kind}_right"
     if name not in sensor.reads:
-        message = (
-            f"sensor {sensor.uid!r} has no image {name!r}; its data_types: "
-            f"{', '.join(sensor.reads)}"
-        )
+        data_types = ", ".join(sensor.reads)
+        message = f"sensor {sensor.uid!r} has no image {name!r}; its data_types: {data_types}"
         raise ConfigError([Problem(key, message, did_you_mean(name, sensor.reads).strip())])
     return name
 
@@ -60,7 +68,7 @@ class CameraImage(Term):
         ``{func: camera_image, params: {sensor: front, channels: color}, delay: [1, 2]}``
     """
 
-    returns_image = True
+    reads_images = True
 
     def __init__(
         self,
@@ -72,14 +80,15 @@ class CameraImage(Term):
     ) -> None:
         if max_depth is not None and channels != "depth":
             raise ConfigError([Problem("max_depth", f"belongs to depth, not to {channels}")])
-        self._sensor, self._max_depth = sensor, max_depth
-        self._color = channels == "color"
-        self._name = _named(sensor, channels, side, "channels")
+        self._sensor = sensor
+        self._max_depth = max_depth
+        self._is_color = channels == "color"
+        self._name = _image_name(sensor, channels, side, "channels")
 
     def __call__(self) -> NDArray[Any]:
         """(N, C, H, W)."""
         image = self._sensor.read(self._name)
-        if self._color:
+        if self._is_color:
             return contiguous(np.moveaxis(image[..., :3], 3, 1))
         if self._max_depth is not None:
             share = np.minimum(image / np.float32(self._max_depth), np.float32(1.0))
@@ -100,19 +109,20 @@ class CameraMask(Term):
         ``{func: camera_mask, params: {sensor: front, of: {uid: cube}}}``
     """
 
-    returns_image = True
+    reads_images = True
 
     def __init__(
         self, env: TermContext, sensor: CameraOf, entity_cfg: Whole, side: Side = "left"
     ) -> None:
-        self._sensor, self._name = sensor, _named(sensor, "mask", side, "sensor")
-        self._number = entity_cfg.asset.entity.root_body_id
+        self._sensor = sensor
+        self._name = _image_name(sensor, "mask", side, "sensor")
+        self._number = entity_cfg.asset.index.root_body_id
 
     def __call__(self) -> NDArray[np.uint8]:
         """(N, 1, H, W)."""
-        seen = self._sensor.read(self._name) == self._number
-        found: NDArray[np.uint8] = seen.astype(np.uint8) * np.uint8(255)
-        return found[:, None]
+        is_visible = self._sensor.read(self._name) == self._number
+        mask = is_visible.astype(np.uint8) * np.uint8(255)
+        return mask[:, None]
 
 
 @quantity("observation", name="camera_points")
@@ -136,8 +146,9 @@ class CameraPoints(Term):
         every: Annotated[int, Field(ge=1)] = 1,
         side: Side = "left",
     ) -> None:
-        self._sensor, self._every = sensor, every
-        self._name = _named(sensor, "position", side, "sensor")
+        self._sensor = sensor
+        self._every = every
+        self._name = _image_name(sensor, "position", side, "sensor")
 
     def __call__(self) -> NDArray[np.float32]:
         """(N, K, 3)."""
@@ -169,4 +180,5 @@ def camera_intrinsics(env: TermContext, sensor: CameraOf, side: Side = "left") -
     Example:
         ``{func: camera_intrinsics, params: {sensor: front}}``
     """
-    return sensor.read_intrinsics(1 if side == "right" else 0)
+    eye = 1 if side == "right" else 0
+    return sensor.read_intrinsics(eye)

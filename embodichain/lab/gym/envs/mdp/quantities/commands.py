@@ -103,11 +103,11 @@ def follows_velocity(
         linear_threshold: 0.3}}``
     """
     error = of.linear_velocity("yaw")[:, :2] - command_name()[:, :2]
-    close: NDArray[np.bool_] = norm(error) < linear_threshold
+    is_close: NDArray[np.bool_] = norm(error) < linear_threshold
     if angular_threshold is not None:
-        turning = of.angular_velocity()[:, 2] - command_name()[:, 2]
-        close = close & (np.abs(turning) < angular_threshold)
-    return close
+        turning_error = of.angular_velocity()[:, 2] - command_name()[:, 2]
+        is_close = is_close & (np.abs(turning_error) < angular_threshold)
+    return is_close
 
 
 @quantity()
@@ -121,9 +121,9 @@ def position_command_error(env: TermContext, of: Body, command_name: PositionCom
         ``{func: position_command_error, params: {of: {uid: ur10, link_names: [ee_link]},
         command_name: pose}}``
     """
-    root, turned = of.asset.read_pose()
-    wanted = root + quat_rotate(turned, command_name()[:, :3])
-    return norm(wanted - of.position())
+    root_pos, root_quat = of.asset.read_pose()
+    target = root_pos + quat_rotate(root_quat, command_name()[:, :3])
+    return norm(target - of.position())
 
 
 @quantity()
@@ -139,5 +139,6 @@ def orientation_command_error(env: TermContext, of: Body, command_name: PoseComm
         ``{func: orientation_command_error, params: {of: {uid: ur10, link_names: [ee_link]},
         command_name: pose}}``
     """
-    wanted = quat_multiply(of.asset.read_pose()[1], command_name()[:, 3:7])
-    return angle_between(of.orientation(), wanted)
+    _, root_quat = of.asset.read_pose()
+    target = quat_multiply(root_quat, command_name()[:, 3:7])
+    return angle_between(of.orientation(), target)

@@ -95,7 +95,7 @@ def is_terminated(env: TermContext, info: Info) -> Floats:
     Example:
         ``{func: is_terminated, weight: -200.0}``
     """
-    return _terminated(env, info).astype(np.float64)
+    return _read_terminated(env, info).astype(np.float64)
 
 
 @quantity("reward", "metric")
@@ -105,10 +105,11 @@ def is_alive(env: TermContext, info: Info) -> Floats:
     Example:
         ``{func: is_alive, weight: 1.0}``
     """
-    return (~_terminated(env, info)).astype(np.float64)
+    return (~_read_terminated(env, info)).astype(np.float64)
 
 
-def _terminated(env: TermContext, info: Info) -> Mask:
+def _read_terminated(env: TermContext, info: Info) -> Mask:
+    """(N,) where a termination of kind success or fail ends the episode."""
     if env.cfg.ignore_terminations:
         return env.arrays.full(env.num_envs, False, np.bool_)
     return env.arrays.of(info["success_terminated"] | info["fail"])
@@ -231,7 +232,8 @@ class Phase(_Clock):
         offsets: Annotated[Sequence[Finite], Field(min_length=1)] = (0.0,),
     ) -> None:
         super().__init__(env)
-        self._period, self._offsets = float(period_s), [float(offset) for offset in offsets]
+        self._period = float(period_s)
+        self._offsets = [float(offset) for offset in offsets]
 
     def __call__(self) -> Floats:
         """(N, 2 K)."""
@@ -259,22 +261,24 @@ class LastAction(Term):
     def __init__(self, env: TermContext, action_name: str | None = None) -> None:
         declared = env.cfg.actions
         if action_name is not None and action_name not in declared:
-            known = ", ".join(declared) or "none"
-            message = f"no action term is called {action_name!r}; there are: {known}"
+            names = ", ".join(declared) or "none"
+            message = f"no action term is called {action_name!r}; there are: {names}"
             hint = did_you_mean(action_name, declared).strip()
             raise ConfigError([Problem("action_name", message, hint)])
-        self._env, self._name = env, action_name
+        self._env = env
+        self._name = action_name
 
     @property
     def column_names(self) -> tuple[str, ...]:
         """Name of each column: ``TERM/JOINT``."""
         manager = self._env.action_manager
-        names: tuple[str, ...] = manager.names
-        return names if self._name is None else names[manager.slices[self._name]]
+        if self._name is None:
+            return manager.names
+        return manager.names[manager.slices[self._name]]
 
     def __call__(self) -> Floats:
         """(N, A)."""
         action = self._env.read_last_action()
-        return (
-            action if self._name is None else action[:, self._env.action_manager.slices[self._name]]
-        )
+        if self._name is None:
+            return action
+        return action[:, self._env.action_manager.slices[self._name]]

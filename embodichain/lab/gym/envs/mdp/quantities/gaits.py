@@ -22,12 +22,13 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.sim.sensors import ContactSensor
     from embodichain.utils.array_types import Floats
 
 __all__ = ["feet_gait"]
 
-_EDGE = 1e-3
-"""Of the sine, above which a foot swings: the sine of half a period is rounded to either sign."""
+_SWING_EDGE = 1e-3
+"""Sine above which a foot swings: the sine of half a period is rounded to either sign."""
 
 
 @quantity("reward", "metric")
@@ -75,17 +76,23 @@ def feet_gait(
     cycles = env.arrays.of(env.elapsed_steps) * (env.step_dt / period_s)
     swing = np.stack([np.sin(2.0 * np.pi * (cycles + offset)) for offset in phases], axis=1)
     if command_name is not None:
-        walks = norm(command_name()) > min_command
-        swing = np.where(walks[:, None], swing, 0.0)
-    origins = sensor.frames.positions(env.sim.engine)
-    above = origins[..., 2]
-    if env.sim.scene.terrain is not None:
-        from embodichain.lab.sim.reads.height_field import (
-            GroundHeights,  # few scenes have a terrain
-        )
+        is_walking = norm(command_name()) > min_command
+        swing = np.where(is_walking[:, None], swing, 0.0)
+    error = (_foot_heights(env, sensor) - rest_height - height * swing) / width
+    in_swing = np.exp(-error * error)
+    is_touched = squares(sensor.read_force()) > force_threshold * force_threshold
+    in_stance = np.where(is_touched, 1.0, 0.0)
+    return mean(np.where(swing > _SWING_EDGE, in_swing, in_stance))
 
-        ground = GroundHeights.of(env.sim.engine)
-        above = above - ground.read(origins[..., 0], origins[..., 1])[0]
-    error = (above - rest_height - height * swing) / width
-    touched = squares(sensor.read_force()) > force_threshold * force_threshold
-    return mean(np.where(swing > _EDGE, np.exp(-error * error), np.where(touched, 1.0, 0.0)))
+
+def _foot_heights(env: TermContext, sensor: ContactSensor) -> Floats:
+    """(N, n) m: heights of the origins of a sensor's links above the ground or the terrain."""
+    origins = sensor.frames.positions(env.sim.engine)
+    heights = origins[..., 2]
+    if env.sim.scene.terrain is None:
+        return heights
+    # Few scenes have a terrain.
+    from embodichain.lab.sim.reads.height_field import GroundHeights
+
+    ground, _ = GroundHeights.of(env.sim.engine).read(origins[..., 0], origins[..., 1])
+    return heights - ground

@@ -57,6 +57,8 @@ def grasped(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -
         message = f"must be a contact sensor on two fingers; it is on {', '.join(sensor.names)}"
         raise ConfigError([Problem("sensor", message)])
     forces = sensor.read_force()
-    (one, other), (force, back) = forces.swapaxes(0, 1), norm(forces).T
-    pressed = (force > threshold) & (back > threshold)
-    return pressed & (total(one * other) < _OPPOSED * force * back)
+    left_force, right_force = forces.swapaxes(0, 1)
+    left, right = norm(forces).T
+    both_press = (left > threshold) & (right > threshold)
+    are_opposed = total(left_force * right_force) < _OPPOSED * left * right
+    return both_press & are_opposed

@@ -29,21 +29,21 @@ if TYPE_CHECKING:
 __all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf", "SumOf"]
 
 
-def _registered(term: ValueCfg) -> ValueCfg:
-    """Check an inner term like a term of a manager, before it is built."""
+def _check_inner(term: ValueCfg) -> ValueCfg:
+    """Check an inner term like a term of a manager, before it is built; return it."""
     from embodichain.lab.gym.envs.managers.terms.check import check_term
 
     if isinstance(term.func, str) and ":" in term.func:
         raise ValueError("a term within a term must be a registered one, not an import path")
-    problems = check_term("metric", term, "")[1]
+    _, problems = check_term("metric", term, "")
     if problems:
         raise ValueError("; ".join(str(problem).lstrip(".") for problem in problems))
     return term
 
 
-Inner = Annotated[ValueCfg, AfterValidator(_registered)]
+Inner = Annotated[ValueCfg, AfterValidator(_check_inner)]
 Terms = Annotated[dict[str, Inner], Field(min_length=1)]
-Summand = Annotated[SummandCfg, AfterValidator(_registered)]
+Summand = Annotated[SummandCfg, AfterValidator(_check_inner)]
 Summands = Annotated[dict[str, Summand], Field(min_length=1)]
 Info = dict[str, Any]
 
@@ -61,15 +61,16 @@ class _Joined(Term):
         self._inner: Manager[ValueCfg] = Manager(env, "terms", "metric", terms)
         self.takes_obs = self._inner.takes_obs
         self._calls = [term.call for term in self._inner.terms.values()]
-        self._join_two, self._dtype = join, dtype
+        self._join_two = join
+        self._dtype = dtype
 
     def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
         """(N,)."""
-        found = [env.arrays.of(call(env, obs, action, info)) for call in self._calls]
-        value: NDArray[Any] = found[0].astype(self._dtype)
-        for other in found[1:]:
-            value = self._join_two(value, other.astype(self._dtype))
-        return value
+        values = [env.arrays.of(call(env, obs, action, info)) for call in self._calls]
+        joined: NDArray[Any] = values[0].astype(self._dtype)
+        for value in values[1:]:
+            joined = self._join_two(joined, value.astype(self._dtype))
+        return joined
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Reset the inner terms."""
@@ -159,11 +160,11 @@ class SumOf(_Joined):
 
     def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
         """(N,) float32."""
-        value: NDArray[Any] = env.arrays.full(env.num_envs, 0.0, np.float32)
+        weighted_sum: NDArray[Any] = env.arrays.full(env.num_envs, 0.0, np.float32)
         for call, weight in self._weighted:
-            found = env.arrays.of(call(env, obs, action, info))
-            value = value + found.astype(np.float32) * weight
-        return value
+            value = env.arrays.of(call(env, obs, action, info))
+            weighted_sum = weighted_sum + value.astype(np.float32) * weight
+        return weighted_sum
 
     def state_dict(self) -> dict[str, Any]:
         """The states of the inner terms, and which of them were evaluated."""
@@ -208,8 +209,8 @@ class HeldFor(_Joined):
 
     def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
         """(N,) bool."""
-        true = super().__call__(env, obs, action, info)
-        self._held = np.where(true, self._held + 1, 0)
+        is_true = super().__call__(env, obs, action, info)
+        self._held = np.where(is_true, self._held + 1, 0)
         return self._held >= self._steps
 
     def reset(self, env_ids: EnvIndex | None) -> None:

@@ -40,7 +40,9 @@ def distance(env: TermContext, from_: Body, to: Body, use_xy_only: bool = False)
         ``{func: distance, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid: goal}}}``
     """
     delta = to.position() - from_.position()
-    return norm(delta[:, :2] if use_xy_only else delta)
+    if use_xy_only:
+        delta = delta[:, :2]
+    return norm(delta)
 
 
 @quantity()
@@ -76,8 +78,8 @@ def within_pose(
         ``{func: within_pose, params: {from: {uid: cube}, to: {uid: goal}, position_threshold:
         0.05, orientation_threshold: 0.1}}``
     """
-    near: NDArray[np.bool_] = distance(env, from_, to) < position_threshold
-    return near & (angle(env, from_, to) < orientation_threshold)
+    is_near: NDArray[np.bool_] = distance(env, from_, to) < position_threshold
+    return is_near & (angle(env, from_, to) < orientation_threshold)
 
 
 @quantity()
@@ -128,11 +130,11 @@ def relative_pose(
         ``{func: relative_pose, params: {from: {uid: cube}, to: {uid: goal}, representation:
         rot6d}}``
     """
-    place = rotate_back(from_.axes(), to.position() - from_.position())
+    position = rotate_back(from_.axes(), to.position() - from_.position())
     quat = quat_multiply(quat_conjugate(from_.orientation()), to.orientation())
     if representation == "matrix":
-        return pose_matrix(place, quat)
-    return np.concatenate([place, as_rotation(quat, representation)], axis=1)
+        return pose_matrix(position, quat)
+    return np.concatenate([position, as_rotation(quat, representation)], axis=1)
 
 
 @quantity()
@@ -154,5 +156,6 @@ def relative_velocity(
     angular = to.angular_velocity() - from_.angular_velocity()
     if in_source_frame:
         axes = from_.axes()
-        linear, angular = rotate_back(axes, linear), rotate_back(axes, angular)
+        linear = rotate_back(axes, linear)
+        angular = rotate_back(axes, angular)
     return np.concatenate([linear, angular], axis=1)

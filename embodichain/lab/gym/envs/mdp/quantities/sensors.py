@@ -54,7 +54,7 @@ __all__ = [
 
 def _lengths(forces: Floats) -> Floats:
     """(N, n) N: lengths of forces (N, n, 3)."""
-    x, y, z = forces[..., 0], forces[..., 1], forces[..., 2]
+    x, y, z = (forces[..., i] for i in range(3))
     return np.sqrt(x * x + y * y + z * z)
 
 
@@ -135,20 +135,26 @@ class FeetAirTime(Term):
         min_command: NonNegative = 0.1,
         force_threshold: NonNegative = 1.0,
     ) -> None:
-        self._sensor, self._command, self._force = sensor, command_name, force_threshold
-        self._least, self._min_command, self._dt = threshold, min_command, env.step_dt
+        self._sensor = sensor
+        self._command = command_name
+        self._force_threshold = force_threshold
+        self._threshold = threshold
+        self._min_command = min_command
+        self._dt = env.step_dt
+        # Seconds since each foot was touched, 0 while it is. Saved under this name.
         self._air: Floats = env.arrays.full((env.num_envs, len(sensor.names)), 0.0)
 
     def __call__(self) -> Floats:
         """(N,) s; the clocks of the feet advance by one control step."""
-        touched = self._sensor.read_largest_force() > self._force
-        lasted = self._air + self._dt
-        landed = touched & (self._air > 0.0)
-        self._air = np.where(touched, 0.0, lasted)
-        paid = total(np.where(landed, lasted - self._least, 0.0))
+        is_touched = self._sensor.read_largest_force() > self._force_threshold
+        air_time = self._air + self._dt
+        has_landed = is_touched & (self._air > 0.0)
+        self._air = np.where(is_touched, 0.0, air_time)
+        reward = total(np.where(has_landed, air_time - self._threshold, 0.0))
         if self._command is None:
-            return paid
-        return np.where(norm(self._command()[:, :2]) > self._min_command, paid, 0.0)
+            return reward
+        is_commanded = norm(self._command()[:, :2]) > self._min_command
+        return np.where(is_commanded, reward, 0.0)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Set the clocks of these environments to 0."""
@@ -169,10 +175,11 @@ def feet_slide(env: TermContext, sensor: ContactHistoryOf, threshold: NonNegativ
     Example:
         ``{func: feet_slide, weight: -0.1, params: {sensor: contacts}}``
     """
-    linear = sensor.frames.velocities(env.sim.engine)[0]
-    x, y = linear[..., 0], linear[..., 1]
-    touched = sensor.read_largest_force() > threshold
-    return total(np.where(touched, np.sqrt(x * x + y * y), 0.0))
+    linear, _ = sensor.frames.velocities(env.sim.engine)
+    x = linear[..., 0]
+    y = linear[..., 1]
+    is_touched = sensor.read_largest_force() > threshold
+    return total(np.where(is_touched, np.sqrt(x * x + y * y), 0.0))
 
 
 @quantity()
@@ -230,7 +237,8 @@ def body_incoming_wrench(env: TermContext, sensor: ForceTorqueOf) -> Floats:
         ``{func: body_incoming_wrench, params: {sensor: wrench}}``
     """
     force = sensor.read_force()
-    return np.concatenate([force, sensor.read_torque()], axis=2).reshape(len(force), -1)
+    wrench = np.concatenate([force, sensor.read_torque()], axis=2)
+    return wrench.reshape(len(wrench), -1)
 
 
 @quantity()
@@ -266,10 +274,14 @@ class SensorReading(Term):
         if problems:
             raise ConfigError(problems)
         self._env = env
-        self._read = getattr(sensor, f"read_{sensor.reads[0] if reading is None else reading}")
+        if reading is None:
+            reading = sensor.reads[0]
+        self._read = getattr(sensor, f"read_{reading}")
 
     @classmethod
-    def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
+    def check_task(
+        cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool
+    ) -> list[Problem]:
         """Return mistakes that depend on the whole task: whether the sensor has the reading."""
         cfg = task.sensors.get(params["sensor"])
         if cfg is None:

@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CommandManager",
-    "DrawingManager",
     "EventManager",
+    "RandomManager",
     "Timer",
 ]
 
 C = TypeVar("C", bound=TermCfg)
 
 
-class DrawingManager(Manager[C]):
+class RandomManager(Manager[C]):
     """A manager whose terms draw random numbers while they are called.
 
     A term draws by `draw` from a stream named ``SECTION.TERM``, so that adding, removing or
@@ -205,7 +205,7 @@ class Timer:
         return env_ids[self.left[env_ids] <= 0]
 
 
-class EventManager(DrawingManager[EventCfg]):
+class EventManager(RandomManager[EventCfg]):
     """Runs events and their timers.
 
     `interval` events count control steps per environment. A reset restarts the environment's
@@ -367,7 +367,7 @@ class _Interval:
         return due
 
 
-class CommandManager(DrawingManager[CommandCfg]):
+class CommandManager(RandomManager[CommandCfg]):
     """Draws commands at resets (after reset events) and at their intervals within an episode.
 
     A command draws by `draw` from its own stream; draws are reported to the environment's observers

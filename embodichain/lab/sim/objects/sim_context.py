@@ -1,4 +1,4 @@
-"""`Host`: the part of a simulation that handles use."""
+"""`SimContext`: the part of a simulation that handles use."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import Engine
     from embodichain.utils.arrays import Arrays
 
-__all__ = ["Host"]
+__all__ = ["SimContext"]
 
 
-class Host(Protocol):
+class SimContext(Protocol):
     """The interface of a simulation for its robots, objects, lights and sensors."""
 
     num_envs: int
