@@ -360,10 +360,6 @@ def _check_envs(key: str, envs: Sequence[int], count: int) -> list[Problem]:
 def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
     """Check values of a task outside its terms and entities."""
     problems = []
-    steps = task.max_episode_steps
-    if steps < 1 and steps != -1:
-        message = f"must be at least 1, or -1 for no limit, got {steps}"
-        problems.append(Problem("task.max_episode_steps", message))
     if task.id is not None:
         from embodichain.config.composition.plugins import (
             require_registered,  # Gymnasium: only when needed

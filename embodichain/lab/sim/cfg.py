@@ -68,6 +68,7 @@ __all__ = [
 
 DEFAULT_RENDERER = "hybrid"
 EngineName = Literal["mujoco", "warp"]
+PositiveInt = Annotated[int, Field(ge=1)]
 
 
 @configclass
@@ -85,9 +86,9 @@ class WindowRecordCfg:
 class WarpCfg:
     """Memory of MuJoCo Warp, too little is an error that names the key; and where arrays are."""
 
-    nconmax: Annotated[int, Field(ge=1)] | None = None
+    nconmax: PositiveInt | None = None
     """Contacts and pairs of geoms near each other, for each environment; all share the memory."""
-    njmax: Annotated[int, Field(ge=1)] | None = None
+    njmax: PositiveInt | None = None
     """Rows of constraints of each environment."""
     arrays: Literal["auto", "host", "device"] = "auto"
     """Where states, observations and rewards are: copied to the host in every step, or on the
@@ -99,23 +100,23 @@ class WarpCfg:
 class SimulationManagerCfg:
     """One simulation: how it runs, and the physics every environment shares."""
 
-    width: int = 1920
+    width: PositiveInt = 1920
     """Window width in pixels."""
-    height: int = 1080
+    height: PositiveInt = 1080
     headless: bool = False
     """False opens a viewer where a display exists, and warns where none does."""
     render_cfg: RenderCfg = RenderCfg()
-    gpu_id: int = 0
+    gpu_id: Annotated[int, Field(ge=0)] = 0
     """The card of `sim_device` "cuda"; "cuda:N" names it by itself."""
     thread_mode: Any = "RENDER_SHARE_ENGINE"
     """No effect."""
     cpu_num: int = 1
     """No effect; see `num_threads`."""
-    num_envs: int = 1
+    num_envs: PositiveInt = 1
     """Overwritten by `EnvCfg.num_envs`."""
-    arena_space: float = 5.0
+    arena_space: Annotated[float, Field(allow_inf_nan=False)] = 5.0
     """Grid pitch in metres between environments, in viewers and logs only."""
-    physics_dt: float = 0.01
+    physics_dt: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.01
     """Seconds per physics step."""
     sim_device: Any = "cpu"
     """Where physics runs: "cpu", "cuda", "cuda:N", or such a `torch.device`. Tensors of the
@@ -130,12 +131,12 @@ class SimulationManagerCfg:
     """``mujoco`` is `mujoco.batch` on the CPU, ``warp`` MuJoCo Warp; None is that of the device."""
     warp: WarpCfg = dataclasses.field(default_factory=WarpCfg, kw_only=True)
     """Values that are None are estimated by MuJoCo Warp."""
-    num_threads: int = dataclasses.field(default=0, kw_only=True)
+    num_threads: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
     """Physics threads; 0 uses every core the process may use."""
     persistent: bool | None = dataclasses.field(default=None, kw_only=True)
     """One MjData per environment (True; 200 kB each) or per thread (False); None is True only for
     models that need it (sleep, IPC, plugins)."""
-    window_env: int = dataclasses.field(default=0, kw_only=True)
+    window_env: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
     """The environment that the window shows."""
     ground_plane: bool = dataclasses.field(default=True, kw_only=True)
     """Whether the scene has a ground plane; False overrides `scene.ground`."""

@@ -26,6 +26,7 @@ from embodichain.lab.sim.configs.scene_cfg import SceneCfg, ViewCfg
 from embodichain.lab.sim.configs.sensor_cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultInt
+from embodichain.utils.fields.value_checks import must
 
 __all__ = [
     "NO_LIMIT",
@@ -55,6 +56,9 @@ Names = str | list[str] | None
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 """[low, high]."""
 Steps = Annotated[int, Field(ge=0)]
+EpisodeSteps = Annotated[
+    int, must("be at least 1, or -1 for no limit", lambda steps: steps >= 1 or steps == -1)
+]
 Numbers = float | list[float] | dict[str, float] | None
 """One number, one for each column, or {joint or link regex: number}."""
 
@@ -244,7 +248,7 @@ class CurriculumCfg(TermCfg):
 class PhysicsTaskCfg(OptionsCfg):
     """Physics options of a task; None keeps the value of `sim_cfg`."""
 
-    physics_dt: Annotated[float, Field(gt=0)] | None = None
+    physics_dt: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     """Seconds per physics step."""
     gravity: Vec3 | None = None
     """m/s^2."""
@@ -297,7 +301,7 @@ class EnvCfg:
     sim_steps_per_control: Annotated[int, Field(ge=1)] = 4
     """Physics steps a control step (K)."""
     ignore_terminations: bool = False
-    max_episode_steps: Annotated[int, KEEP_DEFAULT] = DefaultInt(300)
+    max_episode_steps: Annotated[EpisodeSteps, KEEP_DEFAULT] = DefaultInt(300)
     """Control steps; -1 means no limit."""
     first_env: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
     """Number of the first environment: environment *i* has the random streams of first_env + i."""
@@ -308,7 +312,7 @@ class EnvCfg:
     physics: PhysicsTaskCfg | None = dataclasses.field(default=None, kw_only=True)
     decimation: Annotated[int, Field(ge=1)] | None = dataclasses.field(default=None, kw_only=True)
     """Sets `sim_steps_per_control` and overrides it."""
-    episode_length_s: Annotated[float, Field(gt=0)] | None = dataclasses.field(
+    episode_length_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = dataclasses.field(
         default=None, kw_only=True
     )
     """Sets `max_episode_steps` in seconds and overrides it."""
