@@ -8,6 +8,7 @@ Nothing here imports MuJoCo or torch; `compiler` and `sim_manager` use these cla
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -22,6 +23,7 @@ from embodichain.lab.sim.configs.scene_cfg import (
     LightCfg,
     ObjectBaseCfg,
     Quat,
+    Scale,
     SceneCfg,
     Vec3,
     ViewCfg,
@@ -34,6 +36,7 @@ from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultFloat, DefaultInt
 from embodichain.utils.fields.no_effect import NO_EFFECT, NoEffect
+from embodichain.utils.fields.value_checks import require
 from embodichain.utils.plugins import missing_class
 from embodichain.utils.suggest import did_you_mean
 
@@ -69,6 +72,10 @@ __all__ = [
 DEFAULT_RENDERER = "hybrid"
 EngineName = Literal["mujoco", "warp"]
 PositiveInt = Annotated[int, Field(ge=1)]
+NotNegative = Annotated[
+    float,
+    require("must be finite and not negative, got {}", lambda value: 0 <= value < math.inf),
+]
 
 
 @configclass
@@ -175,13 +182,13 @@ _USD = NoEffect("USD is not read")
 class RigidBodyAttributesCfg:
     """Mass, damping, friction and contact of a rigid body."""
 
-    mass: float = 1.0
+    mass: NotNegative = 1.0
     """kg; 0 computes it from `density`."""
     density: float = 1000.0
     """kg/m^3, used when `mass` is 0."""
-    angular_damping: float = 0.0
+    angular_damping: NotNegative = 0.0
     """1/s: torque = -angular_damping x inertia x angular velocity. EmbodiChain's default is 0.7."""
-    linear_damping: float = 0.0
+    linear_damping: NotNegative = 0.0
     """1/s: force = -linear_damping x mass x velocity. EmbodiChain's default is 0.7."""
     max_depenetration_velocity: Annotated[float, _PHYSX] = 10.0
     """No effect."""
@@ -204,7 +211,7 @@ class RigidBodyAttributesCfg:
     enable_collision: bool = True
     restitution: Annotated[float, _RESTITUTION] = 0.0
     """No effect: MuJoCo has no restitution coefficient. A task file may only say 0."""
-    dynamic_friction: Annotated[float, KEEP_DEFAULT] = DefaultFloat(0.5)
+    dynamic_friction: Annotated[NotNegative, KEEP_DEFAULT] = DefaultFloat(0.5)
     """Sliding friction. A contact takes the larger value of its two bodies, but a body that does
     not move and was given none lets the other one decide. Not given, links of an MJCF keep their
     own."""
@@ -373,12 +380,12 @@ class RigidObjectCfg(ObjectBaseCfg):
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
     body_type: Literal["dynamic", "kinematic", "static"] = "dynamic"
     """dynamic: simulated; kinematic: moved only by code; static: never moves."""
-    max_convex_hull_num: Annotated[int, KEEP_DEFAULT] = DefaultInt(1)
+    max_convex_hull_num: Annotated[int, Field(ge=1), KEEP_DEFAULT] = DefaultInt(1)
     """Maximum number of convex parts for a mesh's collision (`embodichain[decompose]`); 1 is its
     hull. Not given, it is the hull, or as many as needed if `collision` is ``decompose``."""
     sdf_resolution: Annotated[int, _PHYSX] = 0
     """No effect."""
-    body_scale: Vec3 = (1.0, 1.0, 1.0)
+    body_scale: Scale = (1.0, 1.0, 1.0)
     """Multiplies the shape's size."""
     use_usd_properties: Annotated[bool, _USD] = False
     """No effect: USD is not read."""

@@ -13,6 +13,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from embodichain.lab.gym.envs.noise_cfg import (
+    AnyNoiseCfg,
+    ConstantNoiseCfg,
+    GaussianNoiseCfg,
+    NoiseCfg,
+    UniformNoiseCfg,
+)
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
@@ -26,15 +33,17 @@ from embodichain.lab.sim.configs.scene_cfg import SceneCfg, ViewCfg
 from embodichain.lab.sim.configs.sensor_cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultInt
-from embodichain.utils.fields.value_checks import must
+from embodichain.utils.fields.value_checks import require
 
 __all__ = [
     "NO_LIMIT",
     "ActionTermCfg",
     "CommandCfg",
+    "ConstantNoiseCfg",
     "CurriculumCfg",
     "EnvCfg",
     "EventCfg",
+    "GaussianNoiseCfg",
     "MetricCfg",
     "NoiseCfg",
     "ObservationCfg",
@@ -46,6 +55,7 @@ __all__ = [
     "SymmetryCfg",
     "TermCfg",
     "TerminationCfg",
+    "UniformNoiseCfg",
     "ValueCfg",
 ]
 
@@ -57,7 +67,10 @@ Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 """[low, high]."""
 Steps = Annotated[int, Field(ge=0)]
 EpisodeSteps = Annotated[
-    int, must("be at least 1, or -1 for no limit", lambda steps: steps >= 1 or steps == -1)
+    int,
+    require(
+        "must be at least 1, or -1 for no limit, got {}", lambda steps: steps >= 1 or steps == -1
+    ),
 ]
 Numbers = float | list[float] | dict[str, float] | None
 """One number, one for each column, or {joint or link regex: number}."""
@@ -139,26 +152,6 @@ class EventCfg(TermCfg):
 
 
 @configclass
-class NoiseCfg:
-    """Noise of an observation or an action, drawn in every step.
-
-    ``gaussian`` needs `std`, ``uniform`` needs `low` and `high` (Isaac Lab's `n_min` and `n_max`
-    mean the same), ``constant`` needs `bias` and draws nothing.
-    """
-
-    type: Literal["gaussian", "uniform", "constant"] = "gaussian"
-    operation: Literal["add", "scale", "abs"] = "add"
-    """The result is value + noise, value x noise, or the noise alone."""
-    mean: Numbers = None
-    std: Numbers = None
-    low: Numbers = None
-    high: Numbers = None
-    n_min: Numbers = None
-    n_max: Numbers = None
-    bias: Numbers = None
-
-
-@configclass
 class ObservationCfg(ValueCfg):
     """An entry of the observation: ``f(env, obs, **params) -> (N, ...)``.
 
@@ -171,7 +164,7 @@ class ObservationCfg(ValueCfg):
     name: str | None = None
     """Its key in the observation; "/" nests. None is the term's key."""
     group: str = "policy"
-    noise: NoiseCfg | None = None
+    noise: AnyNoiseCfg | None = None
     """The task's `enable_corruption` switches it off, for all groups or by group."""
     clip: Pair | None = None
     """[low, high]."""
@@ -196,7 +189,7 @@ class ActionTermCfg(TermCfg):
     delay: Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)] = 0
     """Control steps, or [low, high]: then each episode of each environment draws its own. Until
     the first action arrives, the term receives the one that keeps the present targets."""
-    noise: NoiseCfg | None = None
+    noise: AnyNoiseCfg | None = None
     """In units of the action."""
 
 

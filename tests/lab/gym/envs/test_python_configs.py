@@ -1,6 +1,8 @@
 """Configs made in Python are checked against the types of YAML, with key paths, at every door."""
 
+import copy
 import dataclasses
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,12 @@ import torch
 from embodichain.lab.gym.envs import BaseEnv, EnvCfg
 from embodichain.lab.gym.envs.cfg import (
     EventCfg,
+    GaussianNoiseCfg,
+    NoiseCfg,
     ObservationCfg,
     RewardCfg,
     TerminationCfg,
+    UniformNoiseCfg,
 )
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
@@ -84,6 +89,18 @@ WRONG = {
     "terminations.far": (RewardCfg("distance"), "must be a TerminationCfg, got RewardCfg"),
     "events.move": (EventCfg("reset", mode="strtup"), "got 'strtup'. Did you mean 'startup'?"),
     "observations.q": (ObservationCfg("qpos", clip=[1.0]), "clip: expected 2 values, got 1: [1"),
+    "observations.a": (
+        ObservationCfg("qpos", noise={"std": 0.1}),
+        "noise: must be a GaussianNoiseCfg, got dict; GaussianNoiseCfg.from_dict makes one",
+    ),
+    "observations.b": (
+        ObservationCfg("qpos", noise=NoiseCfg(std=-0.1)),
+        "noise.std: must not be negative, got -0.1",
+    ),
+    "observations.c": (
+        ObservationCfg("qpos", noise=NoiseCfg("constant", bias=[float("nan")])),
+        "noise.bias: must be finite",
+    ),
     "num_envs": (True, "expected an integer, got true"),
     "max_episode_steps": (0, "must be at least 1, or -1 for no limit, got 0"),
     "seed": (0.5, "expected an integer, got 0.5"),
@@ -221,3 +238,20 @@ def test_the_check_changes_nothing_in_the_config():
     cfg.objects["cube"].shape.size = size
     BaseEnv(cfg).close()
     assert cfg.objects["cube"].shape.size is size
+
+
+def test_noise_is_a_config_of_its_kind():
+    assert NoiseCfg(std=0.1) == GaussianNoiseCfg(std=0.1)
+    assert NoiseCfg("uniform", low=0, n_max=1) == UniformNoiseCfg(low=0, n_max=1)
+    assert NoiseCfg.from_dict({"std": 0.1}) == GaussianNoiseCfg(std=0.1)
+    uniform = NoiseCfg("uniform", low=0, high=1)
+    assert copy.deepcopy(uniform) == uniform.copy() == pickle.loads(pickle.dumps(uniform))
+
+
+def test_a_key_of_another_kind_of_noise_names_those_of_this_kind():
+    text = report(lambda: NoiseCfg(type="uniform", std=1.0))
+    assert text == "std: unknown key; allowed: type, operation, low, high, n_min, n_max."
+    text = report(lambda: GaussianNoiseCfg(sdt=1.0))
+    assert text.startswith("sdt: unknown key; allowed: type, operation, mean, std. Did you mean")
+    text = report(lambda: NoiseCfg(type="normal"))
+    assert text.startswith("type: unknown type 'normal'; one of: gaussian, uniform, constant.")

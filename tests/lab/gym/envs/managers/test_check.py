@@ -174,16 +174,11 @@ def test_sections_are_those_of_the_config() -> None:
         (NoiseCfg(mean=[0.0, 1.0], std=[0.1, 0.2]), []),
         (NoiseCfg(type="uniform", n_min=0.0, n_max=[1.0, 2.0]), []),
         (NoiseCfg(type="constant", bias=1.0, operation="scale"), []),
-        (NoiseCfg(std=-0.1), [".std: must not be negative, got -0.1"]),
-        (NoiseCfg(std=float("nan")), [".std: must be finite"]),
         (NoiseCfg(type="uniform"), [".low: missing", ".high: missing"]),
         (NoiseCfg(type="uniform", low=1.0, high=0.0), [": low 1.0 exceeds high 0.0"]),
         (NoiseCfg(type="uniform", low=[0.0], high=[1.0, 2.0]), [": low has 1 values, high 2"]),
         (NoiseCfg(type="uniform", low=0.0, n_min=0.0, high=1.0), [".n_min: means the same as low"]),
-        (NoiseCfg(type="uniform", std=1.0), [".std: noise of type 'uniform' takes low, high"]),
         (NoiseCfg(type="constant"), [".bias: missing"]),
-        (NoiseCfg(type="normal"), [".type: unknown type 'normal'; one of: gaussian, uniform"]),
-        ({"std": 0.1}, [": must be a NoiseCfg, got dict"]),
     ],
 )
 def test_noise(noise, expected: list[str]) -> None:

@@ -15,7 +15,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 
 from embodichain.lab.gym.envs.cfg import (
@@ -23,7 +22,6 @@ from embodichain.lab.gym.envs.cfg import (
     CommandCfg,
     EnvCfg,
     EventCfg,
-    NoiseCfg,
     ObservationCfg,
     RewardCfg,
     SceneEntityCfg,
@@ -403,18 +401,6 @@ def _config_class(hint: Any) -> type[Any] | None:
     return None
 
 
-_NOISE = {
-    "gaussian": ("mean", "std"),
-    "uniform": ("low", "high", "n_min", "n_max"),
-    "constant": ("bias",),
-}
-"""Type of noise -> the keys that it takes."""
-_NEEDED = {"gaussian": ("std",), "uniform": ("low", "high"), "constant": ("bias",)}
-"""Type of noise -> those of them that have no default."""
-_ALIASES = {"low": "n_min", "high": "n_max"}
-"""Key -> EmbodiChain's name of it."""
-
-
 def check_fields(path: str, term: TermCfg) -> list[Problem]:
     """Return the mistakes of one term in keys other than `func` and `params`.
 
@@ -466,65 +452,12 @@ def _check_disturbance(path: str, term: ActionTermCfg | ObservationCfg) -> list[
     """Check noise and delay, which actions and observations have."""
     problems: list[Problem] = []
     if term.noise is not None:
-        problems += _check_noise(f"{path}.noise", term.noise)
+        problems += [problem.below(f"{path}.noise") for problem in term.noise.check()]
     delay: Any = term.delay
     low, high = [delay, delay] if isinstance(delay, int) else delay
     if not 0 <= low <= high:
         problems.append(Problem(f"{path}.delay", f"needs 0 <= low <= high, got {delay}"))
     return problems
-
-
-def _check_noise(path: str, noise: Any) -> list[Problem]:
-    if not isinstance(noise, NoiseCfg):  # from Python; in YAML pydantic has checked the type
-        kind = type(noise).__name__
-        return [Problem(path, f"must be a NoiseCfg, got {kind}; NoiseCfg.from_dict makes one")]
-    if noise.type not in _NOISE:
-        hint = did_you_mean(str(noise.type), _NOISE).strip()
-        message = f"unknown type {noise.type!r}; one of: {', '.join(_NOISE)}"
-        return [Problem(f"{path}.type", message, hint)]
-    allowed = _NOISE[noise.type]
-    keys = [key for names in _NOISE.values() for key in names if getattr(noise, key) is not None]
-    problems: list[Problem] = []
-    for key in keys:
-        if key not in allowed:
-            message = f"noise of type {noise.type!r} takes {', '.join(allowed)}"
-            problems.append(Problem(f"{path}.{key}", message))
-    takes_all_keys = not problems
-    for key, alias in _ALIASES.items():
-        if key in keys and alias in keys:
-            problems.append(Problem(f"{path}.{alias}", said_twice(key)))
-    if takes_all_keys:  # else a key may be missing because it has the name of another type's
-        for key in _NEEDED[noise.type]:
-            if key not in keys and _ALIASES.get(key) not in keys:
-                message = f"missing; noise of type {noise.type!r} needs it"
-                problems.append(Problem(f"{path}.{key}", message))
-    for key in keys:
-        if not np.isfinite(_numbers_in(getattr(noise, key))).all():
-            problems.append(Problem(f"{path}.{key}", "must be finite"))
-    return problems or _check_noise_order(path, noise)
-
-
-def _numbers_in(value: Any) -> NDArray[np.float64]:
-    """Return the numbers of a number, a list or a map."""
-    if isinstance(value, Mapping):
-        value = list(value.values())
-    return np.asarray(value, np.float64)
-
-
-def _check_noise_order(path: str, noise: NoiseCfg) -> list[Problem]:
-    if noise.type == "gaussian" and (_numbers_in(noise.std) < 0).any():
-        return [Problem(f"{path}.std", f"must not be negative, got {noise.std}")]
-    if noise.type != "uniform":
-        return []
-    low = noise.n_min if noise.low is None else noise.low
-    high = noise.n_max if noise.high is None else noise.high
-    if isinstance(low, Mapping) or isinstance(high, Mapping):
-        return []  # compared when they are spread over columns
-    if isinstance(low, list) and isinstance(high, list) and len(low) != len(high):
-        return [Problem(path, f"low has {len(low)} values, high {len(high)}")]
-    if (np.asarray(low) > np.asarray(high)).any():
-        return [Problem(path, f"low {low} exceeds high {high}")]
-    return []
 
 
 def check_corruption(cfg: EnvCfg) -> list[Problem]:
