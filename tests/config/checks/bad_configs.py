@@ -306,11 +306,11 @@ BAD = {
         overrides=("video=true", "record=none"),
     ),
     "wrong command": bad(
+        "command line: task.commands.there.resampling_time_s: needs 0 < low <= high, got "
+        "[2.0, 1.0]",
         "command line: task.commands.go.func: unknown command term 'uniform_velocty'; allowed: "
         "uniform_joint_position, uniform_pose, uniform_velocity, or package.module:function. "
         "Did you mean 'uniform_velocity'?",
-        "command line: task.commands.there.resampling_time_s: needs 0 < low <= high, got "
-        "[2.0, 1.0]",
         "command line: task.commands.there.params.position_range: missing; command term "
         "'uniform_pose' needs it",
         "command line: task.observations.go.params.command_name: no command is called 'thre'; "
@@ -341,8 +341,8 @@ BAD = {
         "command line: task.observations.b.noise.sdt: unknown key; allowed: type, operation, mean, "
         "std. Did you mean 'std'?",
         "command line: task.observations.c.noise.std: must not be negative, got -1.0",
-        "command line: task.observations.d.history_length: must be at least 0, got -1",
         "command line: task.observations.c.delay: needs 0 <= low <= high, got [2, 1]",
+        "command line: task.observations.d.history_length: must be at least 0, got -1",
         "command line: task.enable_corruption.polcy: no observation is in group 'polcy'; there "
         "are: policy. Did you mean 'policy'?",
         overrides=(

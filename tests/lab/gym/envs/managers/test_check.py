@@ -20,13 +20,15 @@ from embodichain.lab.gym.envs.cfg import (
 )
 from embodichain.lab.gym.envs.managers.terms.check import SECTIONS, check_params, check_terms
 from embodichain.lab.gym.envs.managers.terms.registry import TERMS, describe_term
+from embodichain.lab.sim.configs.config_types import config_types
 
 CUBE = {"entity_cfg": {"uid": "cube"}}
 PAIR = {"source_entity_cfg": {"uid": "a"}, "target_entity_cfg": {"uid": "b"}}
 
 
 def problems(**sections) -> list[str]:
-    return [str(p) for p in check_terms(EnvCfg(**sections))]
+    cfg = EnvCfg(**sections)
+    return [str(p) for p in (*config_types(EnvCfg).check_instance(cfg), *check_terms(cfg))]
 
 
 def test_a_correct_task_has_no_problem() -> None:
@@ -66,9 +68,9 @@ def test_every_mistake_is_found_at_once() -> None:
         commands={"velocity": CommandCfg(func="uniform_velocty")},
     )
     assert len(found) == 7
-    assert found[0].startswith("events.a.func: unknown event term 'randomize_rigid_object_poses'")
-    assert found[0].endswith("Did you mean 'randomize_rigid_object_pose'?")
-    assert found[1] == "events.b.interval_range_s: needs 0 < low <= high, got [2.0, 1.0]"
+    assert found[0] == "events.b.interval_range_s: needs 0 < low <= high, got [2.0, 1.0]"
+    assert found[1].startswith("events.a.func: unknown event term 'randomize_rigid_object_poses'")
+    assert found[1].endswith("Did you mean 'randomize_rigid_object_pose'?")
     assert found[2].startswith("events.b.params.positon_range: unknown parameter of event term")
     assert found[2].endswith("Did you mean 'position_range'?")
     assert "low 0.0 exceeds high -1.0 in column 1" in found[3]
@@ -138,14 +140,14 @@ def test_beside_the_parameters() -> None:
         actions={"arm": ActionTermCfg(func=lambda env: None)},
     )
     assert [f.partition(":")[0] for f in found] == [
-        "actions.arm.func",
-        "observations.a.noise.std",
         "observations.a.clip",
         "observations.b.name",
+        "actions.arm.func",
+        "observations.a.noise.std",
         "observations.c.name",
         "observations.d.name",
     ]
-    assert "must be a subclass of ActionTerm" in found[0]
+    assert "must be a subclass of ActionTerm" in found[2]
     assert "nothing to modify is called 'bb'" in found[5]
 
 

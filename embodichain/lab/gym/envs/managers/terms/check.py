@@ -1,4 +1,4 @@
-"""Checks of terms: their parameters against signatures, and their keys besides `func` and `params`.
+"""Checks of terms: that they exist, and their parameters against signatures.
 
 For a whole task, and for one term when it is built. `scene_setup` checks that the entities in
 parameters exist. Imports no torch.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import typing
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -18,14 +18,11 @@ import numpy as np
 from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 
 from embodichain.lab.gym.envs.cfg import (
+    LARGEST_WEIGHT,
     ActionTermCfg,
-    CommandCfg,
     EnvCfg,
-    EventCfg,
     ObservationCfg,
-    RewardCfg,
     SceneEntityCfg,
-    SummandCfg,
     TermCfg,
     ValueCfg,
 )
@@ -69,7 +66,6 @@ _ENTITIES = (
 )
 """Parameters that EmbodiChain reads as references to entities because of their names;
 `entity_cfgs` is a list of them."""
-_LARGEST_WEIGHT = float(np.finfo(np.float32).max)
 _REFERENCES = {"command_name": "commands", "sensor": "sensors"}
 """Parameters whose value is the name of an entry of another section."""
 
@@ -170,7 +166,9 @@ def check_term(
     Returns:
         The term (None if it has a mistake), and every mistake.
     """
-    problems = check_fields(path, term)
+    problems: list[Problem] = []
+    if isinstance(term, ActionTermCfg | ObservationCfg) and term.noise is not None:
+        problems += [problem.below(f"{path}.noise") for problem in term.noise.check()]
     shapes, mistakes = check_shape(getattr(term, "shape", None), f"{path}.shape")
     problems += mistakes
     try:
@@ -401,26 +399,6 @@ def _config_class(hint: Any) -> type[Any] | None:
     return None
 
 
-def check_fields(path: str, term: TermCfg) -> list[Problem]:
-    """Return the mistakes of one term in keys other than `func` and `params`.
-
-    Args:
-        path: Its key path.
-        term: Its declaration.
-    """
-    if isinstance(term, EventCfg):
-        return _check_times(f"{path}.interval_range_s", term.interval_range_s)
-    if isinstance(term, CommandCfg):
-        return _check_times(f"{path}.resampling_time_s", term.resampling_time_s)
-    if isinstance(term, ObservationCfg):
-        return _check_observation(path, term)
-    if isinstance(term, (RewardCfg, SummandCfg)):
-        return check_weight(f"{path}.weight", term.weight)
-    if isinstance(term, ActionTermCfg):
-        return _check_disturbance(path, term)
-    return []
-
-
 def check_weight(path: str, weight: float) -> list[Problem]:
     """Return the mistake of a weight: that it is not finite, as float32.
 
@@ -428,36 +406,9 @@ def check_weight(path: str, weight: float) -> list[Problem]:
         path: Its key path.
         weight: The weight.
     """
-    if abs(weight) <= _LARGEST_WEIGHT:  # not so for NaN
+    if abs(weight) <= LARGEST_WEIGHT:  # not so for NaN
         return []
     return [Problem(path, f"must be a finite number (of float32), got {weight}")]
-
-
-def _check_times(path: str, seconds: Sequence[float] | None) -> list[Problem]:
-    if seconds is None or 0 < seconds[0] <= seconds[1] < float("inf"):
-        return []
-    return [Problem(path, f"needs 0 < low <= high, got [{seconds[0]}, {seconds[1]}]")]
-
-
-def _check_observation(path: str, term: ObservationCfg) -> list[Problem]:
-    problems = _check_disturbance(path, term)
-    if term.clip is not None and not term.clip[0] <= term.clip[1]:
-        problems.append(Problem(f"{path}.clip", f"low exceeds high in {list(term.clip)}"))
-    if term.name is not None and not all(term.name.split("/")):
-        problems.append(Problem(f"{path}.name", f"has an empty part: {term.name!r}"))
-    return problems
-
-
-def _check_disturbance(path: str, term: ActionTermCfg | ObservationCfg) -> list[Problem]:
-    """Check noise and delay, which actions and observations have."""
-    problems: list[Problem] = []
-    if term.noise is not None:
-        problems += [problem.below(f"{path}.noise") for problem in term.noise.check()]
-    delay: Any = term.delay
-    low, high = [delay, delay] if isinstance(delay, int) else delay
-    if not 0 <= low <= high:
-        problems.append(Problem(f"{path}.delay", f"needs 0 <= low <= high, got {delay}"))
-    return problems
 
 
 def check_corruption(cfg: EnvCfg) -> list[Problem]:
