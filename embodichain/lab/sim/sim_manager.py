@@ -87,8 +87,9 @@ class SimulationManager(Uncopied):
         cfg: Physics, device and number of environments.
         compiled_scene: The scene, if it was compiled before from the entities that are going to be
             added; None compiles them at the first use of physics. Several simulations may share it.
-        checked: Whether this config and those of the entities were checked as a task file is; else
-            values that change nothing are reported when the scene is compiled.
+        checked: Whether the entities' configs were checked as a task file is; else values that
+            change nothing are reported when the scene is compiled.
+        types_checked: Whether the types of `cfg` were checked, as a part of an environment's.
 
     Attributes:
         num_envs, device: N, and the device of all tensors.
@@ -113,9 +114,10 @@ class SimulationManager(Uncopied):
         *,
         compiled_scene: CompiledScene | None = None,
         checked: bool = False,
+        types_checked: bool = False,
     ) -> None:
         self.sim_config = cfg if cfg is not None else SimulationManagerCfg(headless=True)
-        if not checked:
+        if not types_checked:
             check_config(self.sim_config, SimulationManagerCfg)
         self._engine_name, problems = choose_engine(
             self.sim_config.engine, self.sim_config.device_name
