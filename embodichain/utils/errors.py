@@ -57,7 +57,7 @@ class Problem:
 
     def below(self, path: str) -> Problem:
         """Return a copy with `path` put before the key path."""
-        return replace(self, path=f"{path}.{self.path}" if path else self.path)
+        return replace(self, path=".".join(filter(None, (path, self.path))))
 
     def moved(self, places: Mapping[str, str]) -> Problem:
         """Return a copy with the first part of its key path replaced, if `places` has it."""

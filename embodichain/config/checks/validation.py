@@ -159,7 +159,11 @@ def check_tree(
             # Mistakes of the root, such as those of pictures in the log, come before the task's.
             further.sort(key=lambda problem: _below(problem.path, ["task"]))
         further = [_as_written(p, types.tree) for p in further]
-        problems += [p for p in further if not _below(p.path, missing)]
+        # What lacks a part that was left out, such as a pattern without its grid, is not wrong.
+        incomplete = {path.rpartition(".")[0] for path in missing}
+        for problem in further:
+            if not _below(problem.path, missing) and problem.path not in incomplete:
+                problems.append(problem)
     distinct = {p.path + p.message: p for p in problems}.values()
     return Check(_located(distinct, source), types, scene, tuple(_located(notes, source)))
 
@@ -360,10 +364,6 @@ def _check_envs(key: str, envs: Sequence[int], count: int) -> list[Problem]:
 def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
     """Check values of a task outside its terms and entities."""
     problems = []
-    steps = task.max_episode_steps
-    if steps < 1 and steps != -1:
-        message = f"must be at least 1, or -1 for no limit, got {steps}"
-        problems.append(Problem("task.max_episode_steps", message))
     if task.id is not None:
         from embodichain.config.composition.plugins import (
             require_registered,  # Gymnasium: only when needed

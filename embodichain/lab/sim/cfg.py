@@ -8,6 +8,7 @@ Nothing here imports MuJoCo or torch; `compiler` and `sim_manager` use these cla
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -22,6 +23,7 @@ from embodichain.lab.sim.configs.scene_cfg import (
     LightCfg,
     ObjectBaseCfg,
     Quat,
+    Scale,
     SceneCfg,
     Vec3,
     ViewCfg,
@@ -34,6 +36,7 @@ from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultFloat, DefaultInt
 from embodichain.utils.fields.no_effect import NO_EFFECT, NoEffect
+from embodichain.utils.fields.value_checks import require
 from embodichain.utils.plugins import missing_class
 from embodichain.utils.suggest import did_you_mean
 
@@ -68,6 +71,11 @@ __all__ = [
 
 DEFAULT_RENDERER = "hybrid"
 EngineName = Literal["mujoco", "warp"]
+PositiveInt = Annotated[int, Field(ge=1)]
+NotNegative = Annotated[
+    float,
+    require("must be finite and not negative, got {}", lambda value: 0 <= value < math.inf),
+]
 
 
 @configclass
@@ -85,9 +93,9 @@ class WindowRecordCfg:
 class WarpCfg:
     """Memory of MuJoCo Warp, too little is an error that names the key; and where arrays are."""
 
-    nconmax: Annotated[int, Field(ge=1)] | None = None
+    nconmax: PositiveInt | None = None
     """Contacts and pairs of geoms near each other, for each environment; all share the memory."""
-    njmax: Annotated[int, Field(ge=1)] | None = None
+    njmax: PositiveInt | None = None
     """Rows of constraints of each environment."""
     arrays: Literal["auto", "host", "device"] = "auto"
     """Where states, observations and rewards are: copied to the host in every step, or on the
@@ -99,23 +107,23 @@ class WarpCfg:
 class SimulationManagerCfg:
     """One simulation: how it runs, and the physics every environment shares."""
 
-    width: int = 1920
+    width: PositiveInt = 1920
     """Window width in pixels."""
-    height: int = 1080
+    height: PositiveInt = 1080
     headless: bool = False
     """False opens a viewer where a display exists, and warns where none does."""
     render_cfg: RenderCfg = RenderCfg()
-    gpu_id: int = 0
+    gpu_id: Annotated[int, Field(ge=0)] = 0
     """The card of `sim_device` "cuda"; "cuda:N" names it by itself."""
     thread_mode: Any = "RENDER_SHARE_ENGINE"
     """No effect."""
     cpu_num: int = 1
     """No effect; see `num_threads`."""
-    num_envs: int = 1
+    num_envs: PositiveInt = 1
     """Overwritten by `EnvCfg.num_envs`."""
-    arena_space: float = 5.0
+    arena_space: Annotated[float, Field(allow_inf_nan=False)] = 5.0
     """Grid pitch in metres between environments, in viewers and logs only."""
-    physics_dt: float = 0.01
+    physics_dt: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.01
     """Seconds per physics step."""
     sim_device: Any = "cpu"
     """Where physics runs: "cpu", "cuda", "cuda:N", or such a `torch.device`. Tensors of the
@@ -130,12 +138,12 @@ class SimulationManagerCfg:
     """``mujoco`` is `mujoco.batch` on the CPU, ``warp`` MuJoCo Warp; None is that of the device."""
     warp: WarpCfg = dataclasses.field(default_factory=WarpCfg, kw_only=True)
     """Values that are None are estimated by MuJoCo Warp."""
-    num_threads: int = dataclasses.field(default=0, kw_only=True)
+    num_threads: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
     """Physics threads; 0 uses every core the process may use."""
     persistent: bool | None = dataclasses.field(default=None, kw_only=True)
     """One MjData per environment (True; 200 kB each) or per thread (False); None is True only for
     models that need it (sleep, IPC, plugins)."""
-    window_env: int = dataclasses.field(default=0, kw_only=True)
+    window_env: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
     """The environment that the window shows."""
     ground_plane: bool = dataclasses.field(default=True, kw_only=True)
     """Whether the scene has a ground plane; False overrides `scene.ground`."""
@@ -174,13 +182,13 @@ _USD = NoEffect("USD is not read")
 class RigidBodyAttributesCfg:
     """Mass, damping, friction and contact of a rigid body."""
 
-    mass: float = 1.0
+    mass: NotNegative = 1.0
     """kg; 0 computes it from `density`."""
     density: float = 1000.0
     """kg/m^3, used when `mass` is 0."""
-    angular_damping: float = 0.0
+    angular_damping: NotNegative = 0.0
     """1/s: torque = -angular_damping x inertia x angular velocity. EmbodiChain's default is 0.7."""
-    linear_damping: float = 0.0
+    linear_damping: NotNegative = 0.0
     """1/s: force = -linear_damping x mass x velocity. EmbodiChain's default is 0.7."""
     max_depenetration_velocity: Annotated[float, _PHYSX] = 10.0
     """No effect."""
@@ -203,7 +211,7 @@ class RigidBodyAttributesCfg:
     enable_collision: bool = True
     restitution: Annotated[float, _RESTITUTION] = 0.0
     """No effect: MuJoCo has no restitution coefficient. A task file may only say 0."""
-    dynamic_friction: Annotated[float, KEEP_DEFAULT] = DefaultFloat(0.5)
+    dynamic_friction: Annotated[NotNegative, KEEP_DEFAULT] = DefaultFloat(0.5)
     """Sliding friction. A contact takes the larger value of its two bodies, but a body that does
     not move and was given none lets the other one decide. Not given, links of an MJCF keep their
     own."""
@@ -372,12 +380,12 @@ class RigidObjectCfg(ObjectBaseCfg):
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
     body_type: Literal["dynamic", "kinematic", "static"] = "dynamic"
     """dynamic: simulated; kinematic: moved only by code; static: never moves."""
-    max_convex_hull_num: Annotated[int, KEEP_DEFAULT] = DefaultInt(1)
+    max_convex_hull_num: Annotated[int, Field(ge=1), KEEP_DEFAULT] = DefaultInt(1)
     """Maximum number of convex parts for a mesh's collision (`embodichain[decompose]`); 1 is its
     hull. Not given, it is the hull, or as many as needed if `collision` is ``decompose``."""
     sdf_resolution: Annotated[int, _PHYSX] = 0
     """No effect."""
-    body_scale: Vec3 = (1.0, 1.0, 1.0)
+    body_scale: Scale = (1.0, 1.0, 1.0)
     """Multiplies the shape's size."""
     use_usd_properties: Annotated[bool, _USD] = False
     """No effect: USD is not read."""

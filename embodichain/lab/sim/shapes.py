@@ -6,11 +6,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from embodichain.lab.sim.configs.scene_cfg import Quat, Vec3
+from embodichain.lab.sim.configs.scene_cfg import Quat, Scale, Vec3
 from embodichain.utils.configclass import configclass
 from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultInt
 from embodichain.utils.fields.no_effect import NO_EFFECT, NoEffect
 from embodichain.utils.fields.type_errors import member_from_dict
+from embodichain.utils.fields.value_checks import are_finite, is_positive, require
 
 __all__ = [
     "AnyShapeCfg",
@@ -25,6 +26,18 @@ __all__ = [
     "VariantCfg",
     "VisualMaterialCfg",
 ]
+
+
+_MUST_BE_POSITIVE = "must be positive metres, got {}"
+Metres = Annotated[float, require(_MUST_BE_POSITIVE, is_positive)]
+
+
+def _are_positive(lengths: list[float]) -> bool:
+    return all(map(is_positive, lengths))
+
+
+def _are_lengths_of_a_plane(lengths: list[float]) -> bool:
+    return are_finite(lengths) and min(lengths) >= 0
 
 
 @configclass
@@ -67,7 +80,11 @@ class CubeCfg(ShapeCfg):
     """A box."""
 
     shape_type: Literal["Cube"] = "Cube"
-    size: Annotated[list[float], Field(min_length=3, max_length=3)] = [1.0, 1.0, 1.0]
+    size: Annotated[
+        list[float],
+        Field(min_length=3, max_length=3),
+        require(_MUST_BE_POSITIVE, _are_positive),
+    ] = [1.0, 1.0, 1.0]
     """Full edge lengths along x, y, z in metres."""
 
 
@@ -76,7 +93,7 @@ class SphereCfg(ShapeCfg):
     """A ball."""
 
     shape_type: Literal["Sphere"] = "Sphere"
-    radius: float = 1.0
+    radius: Metres = 1.0
     """Metres."""
     resolution: Annotated[int, NoEffect("MuJoCo's sphere is exact")] = 20
     """Accepted for compatibility; MuJoCo's sphere is exact."""
@@ -87,9 +104,9 @@ class CylinderCfg(ShapeCfg):
     """A cylinder along its z axis."""
 
     shape_type: Literal["Cylinder"] = "Cylinder"
-    radius: float = 0.5
+    radius: Metres = 0.5
     """Metres."""
-    height: float = 1.0
+    height: Metres = 1.0
     """Full height in metres."""
 
 
@@ -98,9 +115,9 @@ class CapsuleCfg(ShapeCfg):
     """A cylinder along z with half-spheres at both ends."""
 
     shape_type: Literal["Capsule"] = "Capsule"
-    radius: float = 0.5
+    radius: Metres = 0.5
     """Metres."""
-    height: float = 1.0
+    height: Metres = 1.0
     """Length of the cylindrical part in metres, without the caps."""
 
 
@@ -109,7 +126,11 @@ class PlaneCfg(ShapeCfg):
     """An infinite plane with normal +z; only for static objects."""
 
     shape_type: Literal["Plane"] = "Plane"
-    size: Annotated[list[float], Field(min_length=2, max_length=2)] = [0.0, 0.0]
+    size: Annotated[
+        list[float],
+        Field(min_length=2, max_length=2),
+        require(_MUST_BE_POSITIVE, _are_lengths_of_a_plane),
+    ] = [0.0, 0.0]
     """Rendered full edge lengths along x, y in metres; 0 is infinite. Collision is infinite."""
 
 
@@ -173,9 +194,9 @@ class VariantCfg:
     """kg/m^3; None is that of the object's `attrs`."""
     dynamic_friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
     """None is that of the object's `attrs`."""
-    body_scale: Vec3 = (1.0, 1.0, 1.0)
+    body_scale: Scale = (1.0, 1.0, 1.0)
     """As of an object."""
-    max_convex_hull_num: Annotated[int, KEEP_DEFAULT] = DefaultInt(1)
+    max_convex_hull_num: Annotated[int, Field(ge=1), KEEP_DEFAULT] = DefaultInt(1)
     """As of an object."""
     collision: Literal["hull", "decompose"] = "hull"
     """As of an object."""

@@ -25,7 +25,8 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
-from embodichain.lab.sim.configs.sensor_cfg import SENSORS, SensorCfg
+from embodichain.lab.sim.configs.config_types import check_config
+from embodichain.lab.sim.configs.sensor_cfg import SENSORS, AnySensorCfg, SensorCfg
 from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.lab.sim.engine.room import LEAST_BYTES, bytes_of
 from embodichain.lab.sim.engine.warp.device_arrays import DeviceArrays
@@ -37,7 +38,7 @@ from embodichain.lab.sim.scene import Entity, Scene
 from embodichain.lab.sim.sensors.base_sensor import BaseSensor
 from embodichain.utils.array_types import host_ids
 from embodichain.utils.arrays import Arrays, as_env_ids
-from embodichain.utils.errors import ConfigError, DeviceError, Problem
+from embodichain.utils.errors import DeviceError
 from embodichain.utils.plugins import with_missing_members
 from embodichain.utils.system.memory import require_memory_for
 from embodichain.utils.uncopied import Uncopied
@@ -72,6 +73,12 @@ def _lister(group: str) -> Callable[[SimulationManager], list[str]]:
     return uids
 
 
+def _uid_of(cfg: Any) -> str:
+    """The key path of an entity or a sensor in messages: its name, if it has one."""
+    uid = getattr(cfg, "uid", None)
+    return uid if isinstance(uid, str) else ""
+
+
 @with_missing_members
 class SimulationManager(Uncopied):
     """N environments of one scene.
@@ -82,6 +89,7 @@ class SimulationManager(Uncopied):
             added; None compiles them at the first use of physics. Several simulations may share it.
         checked: Whether the entities' configs were checked as a task file is; else values that
             change nothing are reported when the scene is compiled.
+        types_checked: Whether the types of `cfg` were checked, as a part of an environment's.
 
     Attributes:
         num_envs, device: N, and the device of all tensors.
@@ -96,7 +104,7 @@ class SimulationManager(Uncopied):
         physics_seconds: Wall time spent on physics steps in `update` so far.
 
     Raises:
-        ConfigError: If `num_envs` is less than 1.
+        ConfigError: If a value of the config is wrong; lists all that are.
         DeviceError: If the device is unknown or has no engine here.
     """
 
@@ -106,8 +114,11 @@ class SimulationManager(Uncopied):
         *,
         compiled_scene: CompiledScene | None = None,
         checked: bool = False,
+        types_checked: bool = False,
     ) -> None:
         self.sim_config = cfg if cfg is not None else SimulationManagerCfg(headless=True)
+        if not types_checked:
+            check_config(self.sim_config, SimulationManagerCfg)
         self._engine_name, problems = choose_engine(
             self.sim_config.engine, self.sim_config.device_name
         )
@@ -117,8 +128,6 @@ class SimulationManager(Uncopied):
         self.arrays = DeviceArrays(self.sim_config.device_name) if on_device else Arrays()
         self.device = self.arrays.device
         self.num_envs = int(self.sim_config.num_envs)
-        if self.num_envs < 1:
-            raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
         require_memory_for(self.num_envs, LEAST_BYTES, "environments", "num_envs")
         self.instance_id = max(_instances, default=-1) + 1
         _instances[self.instance_id] = weakref.ref(self)
@@ -155,42 +164,60 @@ class SimulationManager(Uncopied):
 
     # -- adding --------------------------------------------------------------------------------
 
-    def add_robot(self, cfg: RobotCfg) -> Robot:
+    def add_robot(self, cfg: RobotCfg, *, checked: bool = False) -> Robot:
         """Add a robot; its file is read at once, so names and limits are known on return.
+
+        Args:
+            cfg: The robot.
+            checked: Whether the types of its values were checked before.
 
         Raises:
             ConfigError: If the file or a value in the config is wrong.
             RuntimeError: If the scene is compiled already.
         """
+        if not checked:
+            check_config(cfg, RobotCfg, _uid_of(cfg))
         robot = Robot(cfg, self._scene.parse(cfg, self.drive_changes), self)
         self.robots[robot.uid] = robot
         return robot
 
-    def add_articulation(self, cfg: ArticulationCfg) -> Articulation:
+    def add_articulation(self, cfg: ArticulationCfg, *, checked: bool = False) -> Articulation:
         """Add an articulation without control parts; see `add_robot`."""
+        if not checked:
+            check_config(cfg, ArticulationCfg, _uid_of(cfg))
         articulation = Articulation(cfg, self._scene.parse(cfg, self.drive_changes), self)
         self.articulations[articulation.uid] = articulation
         return articulation
 
-    def add_rigid_object(self, cfg: RigidObjectCfg) -> RigidObject:
+    def add_rigid_object(self, cfg: RigidObjectCfg, *, checked: bool = False) -> RigidObject:
         """Add a rigid object; see `add_robot` for what it raises."""
+        if not checked:
+            check_config(cfg, RigidObjectCfg, _uid_of(cfg))
         obj = RigidObject(cfg, self._scene.claim(cfg), self)
         self.rigid_objects[obj.uid] = obj
         return obj
 
-    def add_light(self, cfg: LightCfg) -> Light:
+    def add_light(self, cfg: LightCfg, *, checked: bool = False) -> Light:
         """Add a light for rendering; see `add_robot` for what it raises."""
+        if not checked:
+            check_config(cfg, LightCfg, _uid_of(cfg))
         light = Light(cfg, self._scene.claim(cfg), self)
         self.lights[light.uid] = light
         return light
 
-    def add_sensor(self, cfg: SensorCfg) -> BaseSensor:
+    def add_sensor(self, cfg: SensorCfg, *, checked: bool = False) -> BaseSensor:
         """Add a sensor to entities that were added before.
+
+        Args:
+            cfg: The sensor.
+            checked: Whether the types of its values were checked before.
 
         Raises:
             ConfigError: If an entity or a link does not exist, or a value is wrong.
             RuntimeError: If the scene is compiled already.
         """
+        if not checked:
+            check_config(cfg, AnySensorCfg, _uid_of(cfg))
         plan = self._scene.plan_sensor(cfg)
         kind: type[BaseSensor] = SENSORS[plan.cfg.sensor_type]
         sensor = self.sensors[plan.uid] = kind(plan, self)

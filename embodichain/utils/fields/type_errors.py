@@ -16,6 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from embodichain.utils.env_text import hidden
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.fields.value_checks import UNMET
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
@@ -70,6 +71,8 @@ def what_is_wrong(
     error = errors[0]
     kind = error["type"]
     value = error["input"]
+    if kind == UNMET:
+        return str(error["msg"]), ""
     if kind == "missing":
         return "missing value: it must be set", ""
     if kind in _LIMITS:

@@ -306,11 +306,11 @@ BAD = {
         overrides=("video=true", "record=none"),
     ),
     "wrong command": bad(
+        "command line: task.commands.there.resampling_time_s: needs 0 < low <= high, got "
+        "[2.0, 1.0]",
         "command line: task.commands.go.func: unknown command term 'uniform_velocty'; allowed: "
         "uniform_joint_position, uniform_pose, uniform_velocity, or package.module:function. "
         "Did you mean 'uniform_velocity'?",
-        "command line: task.commands.there.resampling_time_s: needs 0 < low <= high, got "
-        "[2.0, 1.0]",
         "command line: task.commands.there.params.position_range: missing; command term "
         "'uniform_pose' needs it",
         "command line: task.observations.go.params.command_name: no command is called 'thre'; "
@@ -336,13 +336,13 @@ BAD = {
         ),
     ),
     "wrong noise, delay and history": bad(
-        "command line: task.observations.a.noise.type: expected one of 'gaussian', 'uniform', "
-        "'constant', got 'guassian'. Did you mean 'gaussian'?",
+        "command line: task.observations.a.noise.type: unknown type 'guassian'; one of: gaussian, "
+        "uniform, constant. Did you mean 'gaussian'?",
         "command line: task.observations.b.noise.sdt: unknown key; allowed: type, operation, mean, "
-        "std, low, high, n_min, n_max, bias. Did you mean 'std'?",
-        "command line: task.observations.d.history_length: must be at least 0, got -1",
+        "std. Did you mean 'std'?",
         "command line: task.observations.c.noise.std: must not be negative, got -1.0",
         "command line: task.observations.c.delay: needs 0 <= low <= high, got [2, 1]",
+        "command line: task.observations.d.history_length: must be at least 0, got -1",
         "command line: task.enable_corruption.polcy: no observation is in group 'polcy'; there "
         "are: policy. Did you mean 'policy'?",
         overrides=(
@@ -661,13 +661,13 @@ BAD = {
         overrides=("+task.objects.box.any_of.can.shape={shape_type: Cylinder}",),
     ),
     "shapes of any_of": bad(
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.shape.radius: must be positive "
+        "metres, got 0.0",
         "conf/task/mine.yaml:9: task.objects.ball.any_of.plate.shape.fpath: a Mesh needs a file",
         "conf/task/mine.yaml:9: task.objects.ball.any_of.floor.body_type: a Plane must be static, "
         "got 'kinematic'",
         "conf/task/mine.yaml:9: task.objects.ball.any_of.can.quat: a quaternion is zero or not "
         "finite; wxyz with unit length is wanted, got [0.0, 0.0, 0.0, 0.0]",
-        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.shape.radius: must be positive "
-        "metres, got 0.0",
         "conf/task/mine.yaml:9: task.objects.ball.any_of.a/b: uid 'a/b' must not contain '/', "
         "which separates it from its parts",
         old="shape: {shape_type: Sphere, radius: 0.05}",

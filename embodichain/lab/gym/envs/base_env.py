@@ -212,7 +212,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.metadata["render_fps"] = self.control_frequency
         # A config from a file was checked, which has reported its values without effect.
         is_checked = cfg.key_sources is not None
-        self.sim = SimulationManager(cfg.sim_cfg, compiled_scene=compiled_scene, checked=is_checked)
+        self.sim = SimulationManager(
+            cfg.sim_cfg, compiled_scene=compiled_scene, checked=is_checked, types_checked=True
+        )
         self.streams = self.arrays.streams(first_seed(cfg.seed), cfg.num_envs, cfg.first_env)
         if cfg.seed is not None:
             seed_globals(self, self.streams.seed)

@@ -8,11 +8,19 @@ of the first six fields are EmbodiChain 0.2.1's; the vocabulary is documented in
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from embodichain.lab.gym.envs.noise_cfg import (
+    AnyNoiseCfg,
+    ConstantNoiseCfg,
+    GaussianNoiseCfg,
+    NoiseCfg,
+    UniformNoiseCfg,
+)
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
@@ -26,14 +34,18 @@ from embodichain.lab.sim.configs.scene_cfg import SceneCfg, ViewCfg
 from embodichain.lab.sim.configs.sensor_cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultInt
+from embodichain.utils.fields.value_checks import refuse, require
 
 __all__ = [
+    "LARGEST_WEIGHT",
     "NO_LIMIT",
     "ActionTermCfg",
     "CommandCfg",
+    "ConstantNoiseCfg",
     "CurriculumCfg",
     "EnvCfg",
     "EventCfg",
+    "GaussianNoiseCfg",
     "MetricCfg",
     "NoiseCfg",
     "ObservationCfg",
@@ -45,16 +57,45 @@ __all__ = [
     "SymmetryCfg",
     "TermCfg",
     "TerminationCfg",
+    "UniformNoiseCfg",
     "ValueCfg",
 ]
 
+LARGEST_WEIGHT = 3.4028234663852886e38
+"""The largest number of float32, in which rewards are added."""
 NO_LIMIT = 2**31 - 1
 """`max_episode_steps` of an environment whose episodes are not limited."""
 Names = str | list[str] | None
 """One name or regex, several, or None for all."""
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 """[low, high]."""
+Seconds = Annotated[
+    Pair, require("needs 0 < low <= high, got {}", lambda x: 0 < x[0] <= x[1] < math.inf)
+]
+Clip = Annotated[Pair, require("low exceeds high in {}", lambda clip: clip[0] <= clip[1])]
+Weight = Annotated[
+    float,
+    require("must be a finite number (of float32), got {}", lambda x: abs(x) <= LARGEST_WEIGHT),
+]
 Steps = Annotated[int, Field(ge=0)]
+Delay = Annotated[
+    Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)],
+    require(
+        "needs 0 <= low <= high, got {}",
+        lambda delay: isinstance(delay, int) or delay == sorted(delay),
+    ),
+]
+"""Control steps, or [low, high]."""
+EntryName = Annotated[
+    str, refuse(lambda name: None if all(name.split("/")) else f"has an empty part: {name!r}")
+]
+"""A key in the observation; "/" nests."""
+EpisodeSteps = Annotated[
+    int,
+    require(
+        "must be at least 1, or -1 for no limit, got {}", lambda steps: steps >= 1 or steps == -1
+    ),
+]
 Numbers = float | list[float] | dict[str, float] | None
 """One number, one for each column, or {joint or link regex: number}."""
 
@@ -118,7 +159,7 @@ class ValueCfg(TermCfg):
 class SummandCfg(ValueCfg):
     """A term of a sum of terms (`sum_of`); adds value x weight."""
 
-    weight: float = 1.0
+    weight: Weight = 1.0
 
 
 @configclass
@@ -128,30 +169,10 @@ class EventCfg(TermCfg):
     mode: Literal["startup", "reset", "interval"] = "reset"
     interval_step: Annotated[int, Field(ge=1)] = 10
     """Control steps between firings of an `interval` event; 1 is every step."""
-    interval_range_s: Pair | None = None
+    interval_range_s: Seconds | None = None
     """[low, high] seconds between firings, drawn each time; overrides `interval_step`."""
     is_global: bool = False
     """Whether all environments share one timer (and `env_ids` is None)."""
-
-
-@configclass
-class NoiseCfg:
-    """Noise of an observation or an action, drawn in every step.
-
-    ``gaussian`` needs `std`, ``uniform`` needs `low` and `high` (Isaac Lab's `n_min` and `n_max`
-    mean the same), ``constant`` needs `bias` and draws nothing.
-    """
-
-    type: Literal["gaussian", "uniform", "constant"] = "gaussian"
-    operation: Literal["add", "scale", "abs"] = "add"
-    """The result is value + noise, value x noise, or the noise alone."""
-    mean: Numbers = None
-    std: Numbers = None
-    low: Numbers = None
-    high: Numbers = None
-    n_min: Numbers = None
-    n_max: Numbers = None
-    bias: Numbers = None
 
 
 @configclass
@@ -164,17 +185,17 @@ class ObservationCfg(ValueCfg):
     """
 
     mode: Literal["add", "modify"] = "add"
-    name: str | None = None
+    name: EntryName | None = None
     """Its key in the observation; "/" nests. None is the term's key."""
     group: str = "policy"
-    noise: NoiseCfg | None = None
+    noise: AnyNoiseCfg | None = None
     """The task's `enable_corruption` switches it off, for all groups or by group."""
-    clip: Pair | None = None
+    clip: Clip | None = None
     """[low, high]."""
     scale: Numbers = None
     """A number, a list or {joint or link regex: number}. The numbers of a list go with plain names
     of the reference in `params`; without names they are in the order of the columns."""
-    delay: Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)] = 0
+    delay: Delay = 0
     """Control steps, or [low, high]: then each episode of each environment draws its own."""
     history_length: Steps = 0
     """The values of this many steps, the oldest first; 0 is the current value, no history."""
@@ -189,10 +210,10 @@ class ActionTermCfg(TermCfg):
     `delay`, then `noise`, are applied to its slice of the action before the term receives it.
     """
 
-    delay: Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)] = 0
+    delay: Delay = 0
     """Control steps, or [low, high]: then each episode of each environment draws its own. Until
     the first action arrives, the term receives the one that keeps the present targets."""
-    noise: NoiseCfg | None = None
+    noise: AnyNoiseCfg | None = None
     """In units of the action."""
 
 
@@ -201,7 +222,7 @@ class RewardCfg(ValueCfg):
     """``f(env, obs, action, info, **params) -> (N,)``; adds value x weight, never x dt."""
 
     mode: Literal["add", "replace"] = "add"
-    weight: float = 1.0
+    weight: Weight = 1.0
 
 
 @configclass
@@ -231,7 +252,7 @@ class MetricCfg(ValueCfg):
 class CommandCfg(TermCfg):
     """A goal that is not a place, such as a velocity: a class ``(env, **params)``."""
 
-    resampling_time_s: Pair | None = None
+    resampling_time_s: Seconds | None = None
     """[low, high] seconds between draws within an episode; None draws only at resets."""
 
 
@@ -244,7 +265,7 @@ class CurriculumCfg(TermCfg):
 class PhysicsTaskCfg(OptionsCfg):
     """Physics options of a task; None keeps the value of `sim_cfg`."""
 
-    physics_dt: Annotated[float, Field(gt=0)] | None = None
+    physics_dt: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     """Seconds per physics step."""
     gravity: Vec3 | None = None
     """m/s^2."""
@@ -297,7 +318,7 @@ class EnvCfg:
     sim_steps_per_control: Annotated[int, Field(ge=1)] = 4
     """Physics steps a control step (K)."""
     ignore_terminations: bool = False
-    max_episode_steps: Annotated[int, KEEP_DEFAULT] = DefaultInt(300)
+    max_episode_steps: Annotated[EpisodeSteps, KEEP_DEFAULT] = DefaultInt(300)
     """Control steps; -1 means no limit."""
     first_env: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
     """Number of the first environment: environment *i* has the random streams of first_env + i."""
@@ -308,7 +329,7 @@ class EnvCfg:
     physics: PhysicsTaskCfg | None = dataclasses.field(default=None, kw_only=True)
     decimation: Annotated[int, Field(ge=1)] | None = dataclasses.field(default=None, kw_only=True)
     """Sets `sim_steps_per_control` and overrides it."""
-    episode_length_s: Annotated[float, Field(gt=0)] | None = dataclasses.field(
+    episode_length_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = dataclasses.field(
         default=None, kw_only=True
     )
     """Sets `max_episode_steps` in seconds and overrides it."""

@@ -14,6 +14,7 @@ from pydantic import Field
 from embodichain.lab.sim.configs.contact_cfg import ContactCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.fields.no_effect import NoEffect
+from embodichain.utils.fields.value_checks import are_finite, is_not_zero, require
 
 __all__ = [
     "DEFAULT_VIEW",
@@ -41,15 +42,31 @@ __all__ = [
     "WavesPatchCfg",
 ]
 
-Vec3 = Annotated[Sequence[float], Field(min_length=3, max_length=3)]
-Four = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
+Vec3 = Annotated[
+    Sequence[float],
+    Field(min_length=3, max_length=3),
+    require("must be 3 finite numbers, got {}", are_finite),
+]
+Direction3 = Annotated[Vec3, require("must not be zero, got {}", is_not_zero)]
+Scale = Annotated[Vec3, require("must be 3 positive numbers, got {}", lambda scale: min(scale) > 0)]
+Four = Annotated[
+    Sequence[float],
+    Field(min_length=4, max_length=4),
+    require("must be 4 finite numbers, got {}", are_finite),
+]
 Quat = Four
+Orientation = Annotated[Quat, require("must not be zero: it is a rotation, wxyz", is_not_zero)]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Rgb = Annotated[Sequence[Share], Field(min_length=3, max_length=3)]
 Box = Annotated[Sequence[Length], Field(min_length=3, max_length=3)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = Annotated[Sequence[Finite], Field(min_length=3, max_length=3)]
+
+
+def is_color(rgb: Sequence[float]) -> bool:
+    """Whether all shares of a colour are within 0 and 1."""
+    return all(0 <= share <= 1 for share in rgb)
 
 
 DEFAULT_VIEW = "default"
@@ -78,11 +95,11 @@ class LightCfg(ObjectBaseCfg):
 
     light_type: Literal["point", "sun", "direction", "directional", "spot"] = "point"
     """``sun`` and ``direction`` are EmbodiChain's names for ``directional``."""
-    color: Vec3 = (1.0, 1.0, 1.0)
+    color: Annotated[Vec3, require("RGB in [0, 1], got {}", is_color)] = (1.0, 1.0, 1.0)
     """RGB in [0, 1]."""
-    intensity: float = 30.0
+    intensity: Annotated[float, require("must not be negative, got {}", lambda x: x >= 0)] = 30.0
     """Relative brightness; 30 is MuJoCo's full diffuse colour."""
-    direction: Vec3 = (0.0, 0.0, -1.0)
+    direction: Direction3 = (0.0, 0.0, -1.0)
     """The direction in which a spot or directional light shines."""
     radius: Annotated[float, NoEffect("MuJoCo's lights have no falloff radius")] = 1e2
     """No effect: MuJoCo's lights have no falloff radius."""
@@ -340,13 +357,13 @@ class ViewCfg:
 
     eye: Point | None = None
     """Metres."""
-    direction: Point | None = None
+    direction: Annotated[Point, require("must not be zero, got {}", is_not_zero)] | None = None
     """From the scene to the camera, which is as far away as needed to show robots and objects."""
     camera: str | None = None
     """A camera of a robot's file, ``uid/NAME``, or of the scene's, ``scene/NAME``."""
     target: Point | None = None
     """The point it looks at; None is the middle of robots and objects, or of `body`."""
-    up: Point = (0.0, 0.0, 1.0)
+    up: Annotated[Point, require("must not be zero, got {}", is_not_zero)] = (0.0, 0.0, 1.0)
     """The picture's upward direction."""
     fovy: Annotated[float, Field(gt=0, lt=180)] | None = None
     """Vertical field of view in degrees; None is 40, or the camera's."""

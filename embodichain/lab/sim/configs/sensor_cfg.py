@@ -16,6 +16,7 @@ from embodichain.lab.sim.configs.references import OF, JointsCfg, LinksCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.type_errors import from_dict, member_from_dict
+from embodichain.utils.fields.value_checks import is_positive, require
 from embodichain.utils.register import Register
 
 __all__ = ["SENSORS", "AnySensorCfg", "JointsCfg", "LinksCfg", "SensorCfg", "sensor_configs"]
@@ -57,7 +58,9 @@ class SensorCfg:
     """The links, sites or geoms it is fixed on."""
     observe: bool = False
     """Whether ``obs["sensor"][uid]`` contains its data; terms can read it in either case."""
-    rate: float | None = None
+    rate: (
+        Annotated[float, require("must be positive and finite, Hz, got {}", is_positive)] | None
+    ) = None
     """Hz of simulated time; between measurements, reads return the last one. None measures at every
     read. A reset measures anew."""
 
@@ -77,8 +80,8 @@ class SensorCfg:
     def check(self) -> list[Problem]:
         """Return the mistakes in its values that it alone shows, with paths below it.
 
-        References are checked where they are looked up, and what types say of YAML is checked
-        before; a config that is made in Python is checked here alone.
+        They are those of values that do not go together: what one value may be, its type says.
+        References are checked where they are looked up.
         """
         return []
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal, get_args
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
 
 import numpy as np
+from pydantic import Field
 
 from embodichain.lab.sim.configs.references import LinksCfg
-from embodichain.lab.sim.configs.scene_cfg import Four, Quat, Vec3
+from embodichain.lab.sim.configs.scene_cfg import Vec3
 from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
+from embodichain.utils.fields.value_checks import are_finite, is_positive, require
 from embodichain.utils.math import look_at
-from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.system import platforms
 
 if TYPE_CHECKING:
@@ -37,6 +40,38 @@ _LARGEST = 16384
 _BYTES = {"color": 4, "normal": 12, "position": 12}
 """Bytes of a pixel of an image; 4 for the others."""
 
+_Pixels = Annotated[
+    int,
+    require(
+        f"must be within 1 and {_LARGEST} pixels, got {{}}", lambda pixels: 1 <= pixels <= _LARGEST
+    ),
+]
+_Finite3 = Annotated[
+    Sequence[float],
+    Field(min_length=3, max_length=3),
+    require("must be finite, got {}", are_finite),
+]
+_Orientation = Annotated[
+    Sequence[float],
+    Field(min_length=4, max_length=4),
+    require("must be finite, got {}", are_finite),
+    require("must not be zero: it is a rotation, wxyz", any),
+]
+_Lens = Annotated[
+    Sequence[float],
+    Field(min_length=4, max_length=4),
+    require(
+        "fx, fy, cx, cy in pixels, finite, fx and fy positive; got {}",
+        lambda lens: are_finite(lens) and min(lens[:2]) > 0,
+    ),
+]
+_Offset = Annotated[
+    Sequence[float],
+    Field(min_length=3, max_length=3),
+    require(
+        "must be finite and not zero, metres, got {}", lambda pos: are_finite(pos) and any(pos)
+    ),
+]
 CameraData = Literal["color", "depth", "distance", "mask", "normal", "position", "disparity"]
 CAMERA_IMAGES: tuple[str, ...] = get_args(CameraData)
 """All names of images."""
@@ -47,9 +82,9 @@ _IMAGES: tuple[CameraData, ...] = ("color", "depth", "distance", "mask", "normal
 class OffsetCfg:
     """A pose in the frame of a link, site or geom, or without one in the environment's frame."""
 
-    pos: Vec3 = (0.0, 0.0, 0.0)
+    pos: _Finite3 = (0.0, 0.0, 0.0)
     """Metres."""
-    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    quat: _Orientation = (1.0, 0.0, 0.0, 0.0)
     """wxyz; see `CameraCfg.convention`."""
     parent: str | None = None
     """A link, site or geom: of the only robot, or ``UID/NAME``. `CameraCfg.of` names one as
@@ -60,11 +95,11 @@ class OffsetCfg:
 class ExtrinsicsCfg(OffsetCfg):
     """Pose of a camera: `pos` and `quat`, or `eye` and `target`."""
 
-    eye: Vec3 | None = None
+    eye: _Finite3 | None = None
     """Its position, metres."""
-    target: Vec3 | None = None
+    target: _Finite3 | None = None
     """The point in the middle of the picture, in the same frame."""
-    up: Vec3 | None = None
+    up: _Finite3 | None = None
     """The direction that is up in the picture; None is z."""
 
 
@@ -84,17 +119,26 @@ class CameraCfg(SensorCfg):
     ExtrinsicsCfg: ClassVar[type] = ExtrinsicsCfg
 
     sensor_type: Literal["camera", "Camera"] = "camera"
-    width: int = 640
+    width: _Pixels = 640
     """Pixels."""
-    height: int = 480
+    height: _Pixels = 480
     """Pixels."""
-    near: float = 0.005
+    near: Annotated[float, require("must be positive, metres, got {}", is_positive)] = 0.005
     """Metres along the axis: nothing nearer is drawn."""
-    far: float = 100.0
+    far: Annotated[float, require("must be finite, metres, got {}", math.isfinite)] = 100.0
     """Metres along the axis: nothing farther is drawn."""
-    fovy: float | None = None
+    fovy: (
+        Annotated[
+            float,
+            require(
+                "must be greater than 0 and less than 180 degrees, got {}",
+                lambda fovy: 0 < fovy < 180,
+            ),
+        ]
+        | None
+    ) = None
     """Vertical field of view in degrees; pixels are square and the axis is in the middle."""
-    intrinsics: Four | None = None
+    intrinsics: _Lens | None = None
     """fx, fy, cx, cy in pixels, from the top left corner, instead of `fovy`. With neither, fx and
     fy are 1.25 heights and the axis is in the middle."""
     camera: str | None = None
@@ -123,7 +167,7 @@ class CameraCfg(SensorCfg):
         return tuple(self.get_data_types())
 
     def check(self) -> list[Problem]:
-        """Check its lens, its images, its pose and what a camera of a file has already."""
+        """Check that its lens, its images, its pose and its camera of a file go together."""
         return check_camera(self)
 
     def check_memory(self, num_envs: int) -> list[Problem]:
@@ -144,9 +188,9 @@ class StereoCameraCfg(CameraCfg):
     """Two cameras; `extrinsics` is the pose of the point halfway between them."""
 
     sensor_type: Literal["stereo_camera", "StereoCamera"] = "stereo_camera"  # type: ignore[assignment]
-    intrinsics_right: Four | None = None
+    intrinsics_right: _Lens | None = None
     """Those of the right camera; None is the left one's."""
-    left_to_right_pos: Vec3 = (0.05, 0.0, 0.0)
+    left_to_right_pos: _Offset = (0.05, 0.0, 0.0)
     """From the left to the right camera: metres, along the camera's axes."""
     left_to_right_rot: Vec3 = (0.0, 0.0, 0.0)
     """Orientation of the right camera in the left one's axes: Euler angles in degrees, intrinsic
@@ -168,32 +212,16 @@ class StereoCameraCfg(CameraCfg):
 
 def check_camera(cfg: CameraCfg) -> list[Problem]:
     """Return the mistakes in a camera's config that it alone shows, with paths below it."""
-    problems = _check_lens(cfg)
-    for key in ("width", "height"):
-        pixels = getattr(cfg, key)
-        if not 1 <= pixels <= _LARGEST:
-            message = f"must be within 1 and {_LARGEST} pixels, got {pixels}"
-            problems.append(Problem(key, message))
-    if not 0 < cfg.near < np.inf:
-        problems.append(Problem("near", f"must be positive, metres, got {cfg.near}"))
-    elif cfg.far == np.inf:
-        problems.append(Problem("far", "must be finite, metres, got inf"))
-    elif not cfg.near < cfg.far:
+    problems: list[Problem] = []
+    if cfg.fovy is not None and cfg.intrinsics is not None:
+        problems.append(Problem("intrinsics", "fovy is given as well: leave one of them out"))
+    if not cfg.near < cfg.far:
         problems.append(Problem("far", f"must be greater than near, {cfg.near} m, got {cfg.far}"))
     is_stereo = isinstance(cfg, StereoCameraCfg)
-    unknown = [name for name in cfg.data_types or () if name not in CAMERA_IMAGES]
-    for name in unknown:  # a config made in Python is not checked by its types
-        message = f"no image {name!r}; allowed: {', '.join(CAMERA_IMAGES)}."
-        problems.append(Problem("data_types", message + did_you_mean(name, CAMERA_IMAGES)))
     if not is_stereo and "disparity" in (cfg.data_types or ()):
         problems.append(Problem("data_types", "disparity is an image of a stereo_camera"))
-    elif not unknown and not cfg.get_data_types():
+    elif not cfg.get_data_types():
         problems.append(Problem("data_types", "names no image; leave it out for [color]"))
-    if isinstance(cfg, StereoCameraCfg):
-        offset = np.asarray(cfg.left_to_right_pos, np.float64)
-        if not np.isfinite(offset).all() or not offset.any():
-            message = f"must be finite and not zero, metres, got {offset.tolist()}"
-            problems.append(Problem("left_to_right_pos", message))
     has_reference = cfg.of != LinksCfg(preserve_order=cfg.of.preserve_order)
     if has_reference and not cfg.of.uid:
         message = "missing: the entity that has the links, sites or geoms"
@@ -213,32 +241,8 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
     return problems + [Problem(key, message) for key, value in values.items() if value]
 
 
-def _check_lens(cfg: CameraCfg) -> list[Problem]:
-    problems: list[Problem] = []
-    if cfg.fovy is not None and cfg.intrinsics is not None:
-        problems.append(Problem("intrinsics", "fovy is given as well: leave one of them out"))
-    if cfg.fovy is not None and not 0 < cfg.fovy < 180:
-        message = f"must be greater than 0 and less than 180 degrees, got {cfg.fovy}"
-        problems.append(Problem("fovy", message))
-    for key in ("intrinsics", "intrinsics_right"):
-        lens = getattr(cfg, key, None)
-        if lens is None:
-            continue
-        values = np.asarray(lens, np.float64)
-        if values.shape != (4,) or not np.isfinite(values).all() or (values[:2] <= 0).any():
-            message = f"fx, fy, cx, cy in pixels, finite, fx and fy positive; got {list(lens)}"
-            problems.append(Problem(key, message))
-    return problems
-
-
 def _check_extrinsics(cfg: ExtrinsicsCfg) -> list[Problem]:
     problems: list[Problem] = []
-    for key in ("pos", "quat", "eye", "target", "up"):
-        value = getattr(cfg, key)
-        if value is not None and not np.isfinite(np.asarray(value, np.float64)).all():
-            problems.append(Problem(f"extrinsics.{key}", f"must be finite, got {value}"))
-    if not np.asarray(cfg.quat, np.float64).any():
-        problems.append(Problem("extrinsics.quat", "must not be zero: it is a rotation, wxyz"))
     if cfg.eye is None and cfg.target is None:
         if cfg.up is not None:
             problems.append(Problem("extrinsics.up", "belongs to eye and target"))

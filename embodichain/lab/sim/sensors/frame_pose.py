@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from embodichain.lab.sim.compiler.names import frame_names, no_such
 from embodichain.lab.sim.compiler.sensing.frame_sensors import add_frame_sensors, object_type
 from embodichain.lab.sim.configs.references import LinksCfg
-from embodichain.lab.sim.configs.scene_cfg import Quat, Vec3
+from embodichain.lab.sim.configs.scene_cfg import Orientation, Vec3
 from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
-from embodichain.lab.sim.configs.sensor_checks import check_mount
 from embodichain.lab.sim.sensors.base_sensor import BaseSensor, register_sensor
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
@@ -40,22 +39,23 @@ class FramePoseSensorCfg(SensorCfg):
     """A site: the same as ``of.site``."""
     pos: Vec3 = (0.0, 0.0, 0.0)
     """The frame's origin, metres in the frame of that link, site or geom."""
-    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    quat: Orientation = (1.0, 0.0, 0.0, 0.0)
     """The frame's orientation, wxyz in that frame."""
     relative_to: LinksCfg | None = None
     """A link (by default the root), site or geom in whose frame to measure; None is the world."""
 
     def check(self) -> list[Problem]:
-        """Check its pose, and that a site is named once."""
+        """Check that a site is named once, and that it alone says where the frame is."""
+        if self.site is None:
+            return []
         problems = []
-        if self.site is not None:
-            named = self.of.frame_keys()
-            if named:
-                problems.append(Problem("site", f"give a site or {named[0]}, not both"))
-            if any(self.pos) or tuple(self.quat) != (1, 0, 0, 0):
-                message = "has its own pose: leave pos and quat out, or name it in `of`"
-                problems.append(Problem("site", message))
-        return problems + check_mount(self.pos, self.quat)
+        frame_keys = self.of.frame_keys()
+        if frame_keys:
+            problems.append(Problem("site", f"give a site or {frame_keys[0]}, not both"))
+        if any(self.pos) or tuple(self.quat) != (1, 0, 0, 0):
+            message = "has its own pose: leave pos and quat out, or name it in `of`"
+            problems.append(Problem("site", message))
+        return problems
 
 
 @register_sensor(FramePoseSensorCfg)

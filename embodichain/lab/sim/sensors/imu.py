@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from embodichain.lab.sim.compiler.sensing.frame_sensors import add_frame_sensors
-from embodichain.lab.sim.configs.scene_cfg import Quat, Vec3
+from embodichain.lab.sim.configs.scene_cfg import Orientation, Vec3
 from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
-from embodichain.lab.sim.configs.sensor_checks import check_mount
 from embodichain.lab.sim.reads.gravity import gravity_direction
 from embodichain.lab.sim.sensors.base_sensor import LastStepSensor, register_sensor
 from embodichain.utils.configclass import configclass
@@ -41,12 +40,8 @@ class ImuSensorCfg(SensorCfg):
     sensor_type: Literal["imu"] = "imu"
     pos: Vec3 = (0.0, 0.0, 0.0)
     """Its position, metres in the frame of that link, site or geom."""
-    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    quat: Orientation = (1.0, 0.0, 0.0, 0.0)
     """Its orientation, wxyz in that frame."""
-
-    def check(self) -> list[Problem]:
-        """Check its pose."""
-        return check_mount(self.pos, self.quat)
 
 
 @register_sensor(ImuSensorCfg)

@@ -10,16 +10,23 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.lab.sim.configs.scene_cfg import Vec3
-from embodichain.lab.sim.configs.sensor_checks import check_direction, check_numbers
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
+from embodichain.utils.fields.value_checks import are_finite, is_positive, require
 
 if TYPE_CHECKING:
     from embodichain.utils.array_types import Floats
 
 __all__ = ["RayFanCfg", "RayGridCfg", "RayPatternCfg", "pattern_rays"]
 
-_Pair = Annotated[Sequence[float], Field(min_length=2, max_length=2)]
+_Pair = Annotated[
+    Sequence[float],
+    Field(min_length=2, max_length=2),
+    require("must be 2 finite numbers, got {}", are_finite),
+]
+_Range = Annotated[_Pair, require("must be [lowest, highest], got {}", lambda x: x[0] <= x[1])]
+_Count = Annotated[int, Field(ge=1)]
+_Direction = Annotated[Vec3, require("must not be zero: it is a direction", any)]
 _MOST_RAYS = 100_000
 
 
@@ -27,22 +34,11 @@ _MOST_RAYS = 100_000
 class RayGridCfg:
     """Parallel rays that start on a grid in the x-y plane, centred on the origin."""
 
-    size: _Pair
+    size: Annotated[_Pair, require("must not be negative, got {}", lambda x: min(x) >= 0)]
     """Lengths along x and y, metres."""
-    resolution: float
+    resolution: Annotated[float, require("must be positive, metres, got {}", is_positive)]
     """Distance between neighbours, metres."""
-    direction: Vec3 = (0.0, 0.0, -1.0)
-
-    def check(self) -> list[Problem]:
-        """Return the mistakes in its values, with paths below it."""
-        problems = check_numbers("size", self.size, 2)
-        problems += check_direction("direction", self.direction)
-        if not problems and min(self.size) < 0:
-            problems.append(Problem("size", f"must not be negative, got {list(self.size)}"))
-        if not 0 < self.resolution < math.inf:
-            message = f"must be positive, metres, got {self.resolution!r}"
-            problems.append(Problem("resolution", message))
-        return problems
+    direction: _Direction = (0.0, 0.0, -1.0)
 
     def count(self) -> float:
         """Return how many points it has, at most."""
@@ -54,27 +50,12 @@ class RayGridCfg:
 class RayFanCfg:
     """Rays from the origin at even angles: of a planar or rotating range finder."""
 
-    horizontal_range: _Pair = (-math.pi, math.pi)
+    horizontal_range: _Range = (-math.pi, math.pi)
     """Lowest and highest azimuth, rad from x towards y. A full turn has no ray twice."""
-    horizontal_count: int = 36
-    vertical_range: _Pair = (0.0, 0.0)
+    horizontal_count: _Count = 36
+    vertical_range: _Range = (0.0, 0.0)
     """Lowest and highest elevation, rad from the x-y plane towards z."""
-    vertical_count: int = 1
-
-    def check(self) -> list[Problem]:
-        """Return the mistakes in its values, with paths below it."""
-        problems: list[Problem] = []
-        for axis in ("horizontal", "vertical"):
-            key = f"{axis}_range"
-            count = getattr(self, f"{axis}_count")
-            bounds = getattr(self, key)
-            mistakes = check_numbers(key, bounds, 2)
-            if not mistakes and bounds[0] > bounds[1]:
-                mistakes = [Problem(key, f"must be [lowest, highest], got {list(bounds)}")]
-            if not count >= 1:
-                mistakes.append(Problem(f"{axis}_count", f"must be at least 1, got {count!r}"))
-            problems += mistakes
-        return problems
+    vertical_count: _Count = 1
 
 
 @configclass
@@ -83,28 +64,22 @@ class RayPatternCfg:
 
     grid: RayGridCfg | None = None
     fan: RayFanCfg | None = None
-    directions: list[Vec3] | None = None
+    directions: list[_Direction] | None = None
     """Of rays from the origin; any length but zero."""
 
     def check(self) -> list[Problem]:
-        """Return the mistakes in its values, with paths that begin with ``pattern``."""
+        """Return a mistake unless it has one of its keys, with rays, and not too many."""
         named = [name for name, value in vars(self).items() if value is not None]
         if len(named) != 1:
             message = f"give one of {', '.join(vars(self))}; got {', '.join(named) or 'none'}"
             return [Problem("pattern", message)]
         if self.grid is not None:
-            problems = [p.below("pattern.grid") for p in self.grid.check()]
-            return problems or _check_count(self.grid.count())
+            return _check_count(self.grid.count())
         if self.fan is not None:
-            problems = [p.below("pattern.fan") for p in self.fan.check()]
-            return problems or _check_count(self.fan.horizontal_count * self.fan.vertical_count)
-        directions = self.directions or []
-        if not directions:
+            return _check_count(self.fan.horizontal_count * self.fan.vertical_count)
+        if not self.directions:
             return [Problem("pattern.directions", "names no ray")]
-        problems = []
-        for i, value in enumerate(directions):
-            problems += check_direction(f"pattern.directions.{i}", value)
-        return problems or _check_count(len(directions))
+        return _check_count(len(self.directions))
 
 
 def _check_count(rays: float) -> list[Problem]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.compiler.names import GROUND
 from embodichain.lab.sim.compiler.sensing.sensor_index import SensorIndex
 from embodichain.lab.sim.configs.references import LinksCfg
-from embodichain.lab.sim.configs.scene_cfg import Quat, Vec3
+from embodichain.lab.sim.configs.scene_cfg import Orientation, Vec3
 from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
-from embodichain.lab.sim.configs.sensor_checks import check_mount
 from embodichain.lab.sim.reads.frames import BodyFrames, frame_named, link_frame
 from embodichain.lab.sim.sensors.base_sensor import BaseSensor, register_sensor
 from embodichain.lab.sim.sensors.ray_patterns import RayGridCfg, RayPatternCfg, pattern_rays
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
+from embodichain.utils.fields.value_checks import is_positive, require
 from embodichain.utils.math import quat_to_matrix, rotate
 
 if TYPE_CHECKING:
@@ -43,9 +43,13 @@ __all__ = [
 ]
 
 _DOWN = (0.0, 0.0, -1.0)
-_ALIGNMENTS = ("base", "yaw", "world")
-_NO_HITS = ("max", "inf", "zero")
-_GEOM_GROUPS = range(6)
+GeomGroups = Annotated[
+    list[int],
+    require(
+        "must be numbers from 0 to 5, got {}",
+        lambda groups: bool(groups) and set(groups) <= set(range(6)),
+    ),
+]
 
 
 @configclass
@@ -55,11 +59,13 @@ class RayCastCfg(SensorCfg):
     pattern: RayPatternCfg = RayPatternCfg()
     pos: Vec3 = (0.0, 0.0, 0.0)
     """The sensor's origin, metres in the frame that `alignment` chooses."""
-    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    quat: Orientation = (1.0, 0.0, 0.0, 0.0)
     """The sensor's orientation in that frame, wxyz."""
     alignment: Literal["base", "yaw", "world"] = "base"
     """Axes at that origin: of the link, site or geom, of its heading (z up), or of the world."""
-    max_range: float = 10.0
+    max_range: Annotated[
+        float, require("must be positive and finite, metres, got {}", is_positive)
+    ] = 10.0
     """Metres; surfaces further away count as not hit."""
     no_hit: Literal["max", "inf", "zero"] = "max"
     """Reading of a ray that hits nothing: as at `max_range`, infinity or 0."""
@@ -67,23 +73,12 @@ class RayCastCfg(SensorCfg):
     """Uids of the entities that rays can hit (or ``default_plane``); None is everything."""
     exclude: list[str] | None = None
     """Uids of entities that rays pass through; None is the entity that the sensor is fixed on."""
-    geom_groups: list[int] = [0, 1, 2]
+    geom_groups: GeomGroups = [0, 1, 2]
     """Groups of geoms that rays can hit: 0 to 2 are drawn, collision geoms are often in 3."""
 
     def check(self) -> list[Problem]:
-        """Check its pose, its pattern, and what rays can hit and read."""
-        problems = check_mount(self.pos, self.quat) + self.pattern.check()
-        for key, allowed in (("alignment", _ALIGNMENTS), ("no_hit", _NO_HITS)):
-            value = getattr(self, key)
-            if value not in allowed:
-                message = f"must be one of {', '.join(allowed)}, got {value!r}"
-                problems.append(Problem(key, message))
-        if not 0 < self.max_range < math.inf:
-            message = f"must be positive and finite, metres, got {self.max_range!r}"
-            problems.append(Problem("max_range", message))
-        if not self.geom_groups or not set(self.geom_groups) <= set(_GEOM_GROUPS):
-            message = f"must be numbers from 0 to 5, got {self.geom_groups!r}"
-            problems.append(Problem("geom_groups", message))
+        """Check its pattern, and what rays can hit and read."""
+        problems = self.pattern.check()
         if self.observe and self.no_hit == "inf":
             problems.append(Problem("no_hit", "observations must be finite: use max or zero"))
         if self.hit is not None and not self.hit:
@@ -123,17 +118,16 @@ class HeightScanSensorCfg(RayCastCfg):
     sensor_type: Literal["height_scan"] = "height_scan"
     pattern: RayPatternCfg = RayPatternCfg(grid=RayGridCfg(size=(1.6, 1.0), resolution=0.1))
     alignment: Literal["base", "yaw", "world"] = "yaw"
-    start_height: float = 1.0
+    start_height: Annotated[
+        float, require("must not be negative, metres, got {}", lambda z: 0 <= z < math.inf)
+    ] = 1.0
     """Metres above the sensor where rays start, so that higher ground beside it is found."""
 
     def check(self) -> list[Problem]:
-        """Check that its pattern is a grid, and where rays start."""
+        """Check that its pattern is a grid."""
         problems = super().check()
         if self.pattern.grid is None:
             problems.append(Problem("pattern", "a height scan has a grid"))
-        if not 0 <= self.start_height < math.inf:
-            message = f"must not be negative, metres, got {self.start_height!r}"
-            problems.append(Problem("start_height", message))
         return problems
 
 

@@ -250,7 +250,10 @@ WRONG = {
         r"extrinsics.pos: eye and target are given as well",
     ),
     "disparity": ({"data_types": ["disparity"]}, r"data_types: disparity is an image of a stereo"),
-    "name": ({"data_types": ["color", "dept"]}, r"data_types: no image 'dept'.* mean 'depth'"),
+    "name": (
+        {"data_types": ["color", "dept"]},
+        r"data_types\.1: expected one of .* got 'dept'\. Did you mean 'depth'\?",
+    ),
     "nothing": ({"enable_color": False}, r"data_types: names no image"),
     "own": ({"camera": "arm/wrist"}, r"intrinsics: camera 'arm/wrist' has its own"),
 }

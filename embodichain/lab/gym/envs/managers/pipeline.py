@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.cfg import ActionTermCfg, NoiseCfg
+from embodichain.lab.gym.envs.cfg import ActionTermCfg, ConstantNoiseCfg, GaussianNoiseCfg, NoiseCfg
 from embodichain.utils.arrays import may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -70,7 +70,7 @@ class Noise:
         columns: TermColumns,
     ) -> None:
         self._operation = cfg.operation
-        self._gaussian = cfg.type == "gaussian"
+        self._gaussian = isinstance(cfg, GaussianNoiseCfg)
         self._stream = f"{path}.noise"
         self._streams = streams
         self._shape = (streams.num_envs, *shape)
@@ -80,7 +80,7 @@ class Noise:
             return _sized(cfg, names, shape, path, columns)
 
         # The mean and the deviation of normal noise, the bounds of uniform, the value of constant.
-        self._draws = cfg.type != "constant"
+        self._draws = not isinstance(cfg, ConstantNoiseCfg)
         if self._gaussian:
             self._low = sized("mean")
             self._high = sized("std")

@@ -9,7 +9,7 @@ from typing import Any
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
 from embodichain.lab.sim.cfg import SimulationManagerCfg
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.lab.sim.configs.config_types import check_config
 
 __all__ = ["frozen_cfg", "physics_of"]
 
@@ -28,14 +28,23 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
     Raises:
         ConfigError: If a value is invalid; names its key path.
     """
-    cfg = EnvCfg() if cfg is None else copy.deepcopy(cfg)
-    cfg.complete()
-    if num_envs is not None:
-        cfg.num_envs = num_envs
+    task: Any = EnvCfg() if cfg is None else copy.deepcopy(cfg)
+    if not isinstance(task, EnvCfg):
+        check_config(task, EnvCfg)  # raises
+    task.complete()
+    task.num_envs = task.num_envs if num_envs is None else num_envs
+    task.sim_cfg = task.sim_cfg or SimulationManagerCfg(headless=True)  # EmbodiChain allows None
+    is_from_file = task.key_sources is not None and num_envs is None
+    if not is_from_file:  # that was checked when it was read
+        check_config(task, EnvCfg)
+    return _with_derived_values(task)
+
+
+def _with_derived_values(cfg: EnvCfg) -> EnvCfg:
+    """Return a checked config, changed in place: see `frozen_cfg`."""
     cfg.sim_cfg = physics_of(cfg)
     if cfg.decimation is not None:
         cfg.sim_steps_per_control = cfg.decimation
-    _check_numbers(cfg)
     cfg.sim_cfg.num_envs = cfg.num_envs
     if cfg.episode_length_s is not None:
         step_dt = cfg.sim_cfg.physics_dt * cfg.sim_steps_per_control
@@ -61,27 +70,3 @@ def physics_of(cfg: EnvCfg) -> SimulationManagerCfg:
     sim.scene = cfg.scene or sim.scene
     sim.views = cfg.views or sim.views
     return sim
-
-
-def _check_numbers(cfg: EnvCfg) -> None:
-    """Check the numbers of a task made in Python; pydantic checks those of a task in YAML."""
-    problems: list[Problem] = []
-    for name in ("num_envs", "sim_steps_per_control"):
-        value: Any = getattr(cfg, name)
-        if not _is_integer(value) or value < 1:
-            problems.append(Problem(name, f"must be an integer of at least 1, got {value!r}"))
-    limit: Any = cfg.max_episode_steps
-    if not isinstance(limit, int) or (limit < 1 and limit != -1):
-        message = f"must be at least 1, or -1 for no limit, got {limit!r}"
-        problems.append(Problem("max_episode_steps", message))
-    if cfg.seed is not None and not _is_integer(cfg.seed):
-        problems.append(Problem("seed", f"must be an integer or None, got {cfg.seed!r}"))
-    physics_dt = cfg.sim_cfg.physics_dt
-    if not physics_dt > 0:  # NaN is not positive either
-        problems.append(Problem("physics.physics_dt", f"must be positive, got {physics_dt!r}"))
-    if problems:
-        raise ConfigError(problems)
-
-
-def _is_integer(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)

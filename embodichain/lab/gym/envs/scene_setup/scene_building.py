@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.terms.check import check_terms
@@ -75,7 +75,7 @@ def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseS
     for uid, sensor_cfg in cfg.sensors.items():
         sensor_cfg.uid = uid
         try:
-            sensors[uid] = sim.get_sensor(uid) or sim.add_sensor(sensor_cfg)
+            sensors[uid] = sim.get_sensor(uid) or sim.add_sensor(sensor_cfg, checked=True)
         except ConfigError as error:
             raise _at_path(error, f"sensors.{uid}", uid) from error
     return sensors
@@ -89,17 +89,17 @@ def _add_entity(sim: SimulationManager, entity: DeclaredEntity) -> None:
         return
     add_entity = _adder(sim, entity)
     try:
-        add_entity(entity.cfg)
+        add_entity(entity.cfg, checked=True)  # as a part of the environment's config
     except ConfigError as error:
         raise _at_path(error, entity.path, entity.uid) from error
 
 
-def _adder(sim: SimulationManager, entity: DeclaredEntity) -> Callable[[Any], object]:
+def _adder(sim: SimulationManager, entity: DeclaredEntity) -> Callable[..., object]:
     """Return the method that adds an entity of its section."""
     section, _, _ = entity.path.partition(".")
     if section == "scene":  # contains furniture and lights
         section = "lights" if isinstance(entity.cfg, LightCfg) else "objects"
-    adders: dict[str, Callable[[Any], object]] = {
+    adders: dict[str, Callable[..., object]] = {
         "robot": sim.add_robot,
         "robots": sim.add_robot,
         "articulations": sim.add_articulation,

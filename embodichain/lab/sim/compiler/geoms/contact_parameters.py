@@ -23,9 +23,7 @@ __all__ = [
     "LEAST_RESTITUTION",
     "ContactParameters",
     "bouncing_solref",
-    "check_contact",
     "check_fixed_contact",
-    "check_solref",
     "fixed_contact",
     "given_parameters",
     "set_contact_parameters",
@@ -37,8 +35,6 @@ LEAST_RESTITUTION = math.exp(-2.0)
 """That of a critically damped spring."""
 _DECIDED = ("condim", "solref", "solimp", "solmix")
 """Parameters beside friction that act only with a priority that is not too low."""
-_LARGEST_IMPEDANCE = 0.9999
-"""MuJoCo's `mjMAXIMP`; the smallest is one minus this."""
 
 
 @dataclass(frozen=True)
@@ -158,73 +154,11 @@ def _restitution(ratio: float) -> float:
 # ------------------------------------------------------------------------------------------- checks
 
 
-def check_contact(cfg: ContactCfg) -> list[Problem]:
-    """Return every mistake in contact parameters, with paths below them."""
-    problems: list[Problem] = []
-    for name in ("friction", "solmix", "margin", "gap"):
-        problems += _check_not_negative(name, getattr(cfg, name))
-    if cfg.friction is not None:
-        count = len(np.atleast_1d(cfg.friction))
-        if not 1 <= count <= 3:
-            message = f"1 to 3 coefficients: sliding, torsional, rolling; got {count}"
-            problems.append(Problem("friction", message))
-    if cfg.condim is not None and cfg.condim not in (1, 3, 4, 6):
-        problems.append(Problem("condim", f"must be 1, 3, 4 or 6, got {cfg.condim}"))
-    if cfg.solref is not None:
-        problems += check_solref("solref", cfg.solref)
-    if cfg.solimp is not None:
-        problems += check_solimp("solimp", cfg.solimp)
-    return problems
-
-
-def _check_not_negative(name: str, value: object) -> list[Problem]:
-    if value is None:
-        return []
-    numbers = np.atleast_1d(np.asarray(value, np.float64))
-    if np.isfinite(numbers).all() and (numbers >= 0).all():
-        return []
-    return [Problem(name, f"must be finite and not negative, got {value}")]
-
-
-def check_solref(path: str, solref: Sequence[float]) -> list[Problem]:
-    """Return what is wrong with a solref; MuJoCo replaces one with mixed signs by its default."""
-    if len(solref) != 2 or not all(map(math.isfinite, solref)):
-        return [Problem(path, f"must be 2 finite numbers, got {list(solref)}")]
-    if all(x > 0 for x in solref) or all(x <= 0 for x in solref):
-        return []
-    message = (
-        "must be [time constant, damping ratio], both positive, or [-stiffness, -damping], "
-        f"neither positive; got {list(solref)}"
-    )
-    return [Problem(path, message)]
-
-
-def check_solimp(path: str, solimp: Sequence[float]) -> list[Problem]:
-    """Return what is wrong with a solimp; MuJoCo clamps values out of range."""
-    if not 1 <= len(solimp) <= 5 or not all(map(math.isfinite, solimp)):
-        return [Problem(path, f"must be 1 to 5 finite numbers, got {list(solimp)}")]
-    least = 1.0 - _LARGEST_IMPEDANCE
-    most = _LARGEST_IMPEDANCE
-    limits = (
-        ("dmin", least, most),
-        ("dmax", least, most),
-        ("width", 0.0, math.inf),
-        ("midpoint", least, most),
-        ("power", 1.0, math.inf),
-    )
-    problems: list[Problem] = []
-    for (name, low, high), value in zip(limits, solimp, strict=False):
-        if not low - 1e-12 <= value <= high:
-            allowed = f"at least {low:.4g}" if high == math.inf else f"{low:.4g} to {high:.4g}"
-            problems.append(Problem(path, f"{name} must be {allowed}, got {value:g}"))
-    return problems
-
-
 def check_fixed_contact(cfg: ContactCfg) -> list[Problem]:
-    """Return every mistake in the contact parameters of a collider that does not move."""
-    problems = check_contact(cfg)
+    """Return the contact parameters of a collider that does not move which have no effect."""
     if cfg.friction is not None or cfg.priority is not None:
-        return problems
+        return []
+    problems: list[Problem] = []
     for name in _DECIDED:
         if getattr(cfg, name) is not None:
             message = (

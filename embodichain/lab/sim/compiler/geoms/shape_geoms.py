@@ -70,29 +70,12 @@ def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> li
         scale: (3,) factors.
         max_parts: Maximum number of convex collision parts; 1 is the hull, None as many as needed.
     """
-    problems = _check_dimensions(shape)
+    problems: list[Problem] = []
     if isinstance(shape, (CylinderCfg, CapsuleCfg)) and scale[0] != scale[1]:
         message = f"a {shape.shape_type} scales equally along x and y, got {scale.tolist()}"
         problems.append(Problem("body_scale", message))
     if isinstance(shape, MeshCfg):
         problems += _check_mesh(shape, max_parts)
-    return problems
-
-
-def _check_dimensions(shape: AnyShapeCfg) -> list[Problem]:
-    """Return lengths that are not positive; those of a plane may be 0, which is without end."""
-    problems: list[Problem] = []
-    for name in ("size", "radius", "height"):
-        value = getattr(shape, name, None)
-        if value is None:
-            continue
-        lengths = np.asarray(value, np.float64)
-        if isinstance(shape, PlaneCfg):
-            is_allowed = (lengths >= 0) & np.isfinite(lengths)
-        else:
-            is_allowed = (lengths > 0) & np.isfinite(lengths)
-        if not is_allowed.all():
-            problems.append(Problem(f"shape.{name}", f"must be positive metres, got {value}"))
     return problems
 
 

@@ -21,7 +21,6 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.geoms.contact_parameters import (
     ContactParameters,
-    check_contact,
     set_contact_parameters,
 )
 from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
@@ -285,11 +284,10 @@ def check_attachments(
             mistakes.append(Problem("shape", "a Plane cannot move"))
         mistakes += check_shape(cfg.shape, _UNSCALED)
         mistakes += check_pose(cfg)
-        if cfg.contact is not None:
-            mistakes += [problem.below("contact") for problem in check_contact(cfg.contact)]
-            if cfg.contact.friction is not None and is_given(cfg.dynamic_friction):
-                message = "dynamic_friction is given as well: leave one of them out"
-                mistakes.append(Problem("contact.friction", message))
+        has_friction = cfg.contact is not None and cfg.contact.friction is not None
+        if has_friction and is_given(cfg.dynamic_friction):
+            message = "dynamic_friction is given as well: leave one of them out"
+            mistakes.append(Problem("contact.friction", message))
         problems += [problem.below(path) for problem in mistakes]
     return problems
 

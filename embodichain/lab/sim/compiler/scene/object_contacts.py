@@ -7,7 +7,6 @@ import dataclasses
 from embodichain.lab.sim.cfg import RigidObjectCfg
 from embodichain.lab.sim.compiler.geoms.contact_parameters import (
     ContactParameters,
-    check_contact,
     check_fixed_contact,
     fixed_contact,
 )
@@ -23,11 +22,10 @@ def check_object_contact(cfg: RigidObjectCfg) -> list[Problem]:
     contact = cfg.contact
     if contact is None:
         return []
+    problems: list[Problem] = []
     if cfg.body_type == "static":
         mistakes = check_fixed_contact(_given_contact(cfg))
-    else:
-        mistakes = check_contact(contact)
-    problems = [mistake.below("contact") for mistake in mistakes]
+        problems += [mistake.below("contact") for mistake in mistakes]
     if contact.friction is not None and is_given(cfg.attrs.dynamic_friction):
         message = "attrs.dynamic_friction is given as well: leave one of them out"
         problems.append(Problem("contact.friction", message))

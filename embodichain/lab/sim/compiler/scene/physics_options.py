@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import SimulationManagerCfg
-from embodichain.lab.sim.compiler.geoms.contact_parameters import check_solimp, check_solref
 from embodichain.lab.sim.configs.physics_cfg import FlagsCfg, OptionsCfg, PhysicsCfg
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -149,7 +148,7 @@ def _all_flags() -> list[_Flag]:
 
 
 def check_options(physics: PhysicsCfg) -> list[Problem]:
-    """Return every option that is wrong or has no effect, with paths below ``physics``."""
+    """Return every option that has no effect without another, with paths below ``physics``."""
     problems: list[Problem] = []
     options = _options(physics)
     flags = physics.flags or FlagsCfg()
@@ -160,13 +159,6 @@ def check_options(physics: PhysicsCfg) -> list[Problem]:
     if "noslip_tolerance" in options and not options.get("noslip_iterations"):
         message = "has no effect without noslip_iterations"
         problems.append(Problem("noslip_tolerance", message))
-    if "o_solref" in options:
-        problems += check_solref("o_solref", options["o_solref"])
-    if "o_solimp" in options:
-        problems += check_solimp("o_solimp", options["o_solimp"])
-    for name in ("wind", "density", "viscosity", "magnetic"):
-        if name in options and not np.isfinite(np.asarray(options[name], np.float64)).all():
-            problems.append(Problem(name, f"must be finite, got {options[name]}"))
     return problems
 
 

@@ -113,12 +113,6 @@ def _check_shape(cfg: RigidObjectCfg) -> list[Problem]:
         message = "1 part is the hull, but collision is decompose: leave one of them out"
         problems.append(Problem("max_convex_hull_num", message))
     scale = np.asarray(cfg.body_scale, np.float64)
-    if scale.shape != (3,) or not (scale > 0).all():
-        problems.append(Problem("body_scale", f"must be 3 positive numbers, got {scale.tolist()}"))
-        scale = np.ones(3)
-    if not cfg.max_convex_hull_num >= 1:
-        message = f"must be at least 1, got {cfg.max_convex_hull_num}"
-        return [*problems, Problem("max_convex_hull_num", message)]
     parts = _convex_parts(cfg)
     if parts != 1 and not isinstance(cfg.shape, MeshCfg):
         name = "max_convex_hull_num" if cfg.max_convex_hull_num > 1 else "collision"
@@ -135,17 +129,11 @@ def _check_shape(cfg: RigidObjectCfg) -> list[Problem]:
 
 
 def _check_attrs(cfg: RigidObjectCfg) -> list[Problem]:
-    problems: list[Problem] = []
     attrs = cfg.attrs
-    for name in ("mass", "linear_damping", "angular_damping", "dynamic_friction"):
-        value = getattr(attrs, name)
-        if not (value >= 0 and np.isfinite(value)):
-            message = f"must be finite and not negative, got {value}"
-            problems.append(Problem(f"attrs.{name}", message))
     if attrs.mass == 0 and not attrs.density > 0:
         message = f"must be positive as mass is 0, got {attrs.density}"
-        problems.append(Problem("attrs.density", message))
-    return problems
+        return [Problem("attrs.density", message)]
+    return []
 
 
 def _convex_parts(cfg: RigidObjectCfg) -> int | None:

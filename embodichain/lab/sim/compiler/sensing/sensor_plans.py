@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -85,10 +84,7 @@ def plan_sensor(
     if sensor is None or not isinstance(cfg, sensor.config):
         name = sensor_type or type(cfg).__name__
         return None, [Problem("sensor_type", SENSORS.unknown(name))]
-    problems = []
-    if cfg.rate is not None and not 0 < cfg.rate < math.inf:
-        problems.append(Problem("rate", f"must be positive and finite, Hz, got {cfg.rate!r}"))
-    problems += cfg.check()
+    problems = cfg.check()
     plan, mistakes = sensor.make_plan(uid, cfg, SceneNames(known, ground, open_scene))
     problems += mistakes
     return None if problems else plan, problems

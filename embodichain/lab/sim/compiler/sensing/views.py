@@ -143,15 +143,11 @@ def _check_view(cfg: ViewCfg) -> list[Problem]:
         problems.append(Problem("follow", "belongs to body: the view follows nothing"))
     if cfg.direction is not None and cfg.body is not None:
         problems.append(Problem("body", "needs eye, relative to the body, not direction"))
-    if cfg.direction is not None and not np.linalg.norm(cfg.direction) > 1e-9:
-        problems.append(Problem("direction", f"must not be zero, got {list(cfg.direction)}"))
     if cfg.eye is not None and (cfg.target is not None or cfg.body is not None):
         target = (0.0, 0.0, 0.0) if cfg.target is None else cfg.target
         if np.allclose(cfg.eye, target):
             message = f"the camera is at the point it looks at, {[float(x) for x in cfg.eye]}"
             problems.append(Problem("eye", message))
-    if not np.linalg.norm(cfg.up) > 1e-9:
-        problems.append(Problem("up", f"must not be zero, got {list(cfg.up)}"))
     return problems
 
 

@@ -139,7 +139,7 @@ def test_poses_can_be_said_in_three_ways():
     [
         (
             RigidObjectCfg(shape=CubeCfg(size=[0.0, 1, 1])),
-            "thing.shape.size: must be positive metres, got [0.0, 1, 1]",
+            "thing.shape.size: must be positive metres, got [0.0, 1.0, 1.0]",
         ),
         (
             RigidObjectCfg(shape=SphereCfg(radius=-1.0)),

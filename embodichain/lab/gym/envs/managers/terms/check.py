@@ -1,4 +1,4 @@
-"""Checks of terms: their parameters against signatures, and their keys besides `func` and `params`.
+"""Checks of terms: that they exist, and their parameters against signatures.
 
 For a whole task, and for one term when it is built. `scene_setup` checks that the entities in
 parameters exist. Imports no torch.
@@ -9,25 +9,20 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import typing
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 
 from embodichain.lab.gym.envs.cfg import (
+    LARGEST_WEIGHT,
     ActionTermCfg,
-    CommandCfg,
     EnvCfg,
-    EventCfg,
-    NoiseCfg,
     ObservationCfg,
-    RewardCfg,
     SceneEntityCfg,
-    SummandCfg,
     TermCfg,
     ValueCfg,
 )
@@ -71,7 +66,6 @@ _ENTITIES = (
 )
 """Parameters that EmbodiChain reads as references to entities because of their names;
 `entity_cfgs` is a list of them."""
-_LARGEST_WEIGHT = float(np.finfo(np.float32).max)
 _REFERENCES = {"command_name": "commands", "sensor": "sensors"}
 """Parameters whose value is the name of an entry of another section."""
 
@@ -172,7 +166,9 @@ def check_term(
     Returns:
         The term (None if it has a mistake), and every mistake.
     """
-    problems = check_fields(path, term)
+    problems: list[Problem] = []
+    if isinstance(term, ActionTermCfg | ObservationCfg) and term.noise is not None:
+        problems += [problem.below(f"{path}.noise") for problem in term.noise.check()]
     shapes, mistakes = check_shape(getattr(term, "shape", None), f"{path}.shape")
     problems += mistakes
     try:
@@ -403,38 +399,6 @@ def _config_class(hint: Any) -> type[Any] | None:
     return None
 
 
-_NOISE = {
-    "gaussian": ("mean", "std"),
-    "uniform": ("low", "high", "n_min", "n_max"),
-    "constant": ("bias",),
-}
-"""Type of noise -> the keys that it takes."""
-_NEEDED = {"gaussian": ("std",), "uniform": ("low", "high"), "constant": ("bias",)}
-"""Type of noise -> those of them that have no default."""
-_ALIASES = {"low": "n_min", "high": "n_max"}
-"""Key -> EmbodiChain's name of it."""
-
-
-def check_fields(path: str, term: TermCfg) -> list[Problem]:
-    """Return the mistakes of one term in keys other than `func` and `params`.
-
-    Args:
-        path: Its key path.
-        term: Its declaration.
-    """
-    if isinstance(term, EventCfg):
-        return _check_times(f"{path}.interval_range_s", term.interval_range_s)
-    if isinstance(term, CommandCfg):
-        return _check_times(f"{path}.resampling_time_s", term.resampling_time_s)
-    if isinstance(term, ObservationCfg):
-        return _check_observation(path, term)
-    if isinstance(term, (RewardCfg, SummandCfg)):
-        return check_weight(f"{path}.weight", term.weight)
-    if isinstance(term, ActionTermCfg):
-        return _check_disturbance(path, term)
-    return []
-
-
 def check_weight(path: str, weight: float) -> list[Problem]:
     """Return the mistake of a weight: that it is not finite, as float32.
 
@@ -442,89 +406,9 @@ def check_weight(path: str, weight: float) -> list[Problem]:
         path: Its key path.
         weight: The weight.
     """
-    if abs(weight) <= _LARGEST_WEIGHT:  # not so for NaN
+    if abs(weight) <= LARGEST_WEIGHT:  # not so for NaN
         return []
     return [Problem(path, f"must be a finite number (of float32), got {weight}")]
-
-
-def _check_times(path: str, seconds: Sequence[float] | None) -> list[Problem]:
-    if seconds is None or 0 < seconds[0] <= seconds[1] < float("inf"):
-        return []
-    return [Problem(path, f"needs 0 < low <= high, got [{seconds[0]}, {seconds[1]}]")]
-
-
-def _check_observation(path: str, term: ObservationCfg) -> list[Problem]:
-    problems = _check_disturbance(path, term)
-    if term.clip is not None and not term.clip[0] <= term.clip[1]:
-        problems.append(Problem(f"{path}.clip", f"low exceeds high in {list(term.clip)}"))
-    if term.name is not None and not all(term.name.split("/")):
-        problems.append(Problem(f"{path}.name", f"has an empty part: {term.name!r}"))
-    return problems
-
-
-def _check_disturbance(path: str, term: ActionTermCfg | ObservationCfg) -> list[Problem]:
-    """Check noise and delay, which actions and observations have."""
-    problems: list[Problem] = []
-    if term.noise is not None:
-        problems += _check_noise(f"{path}.noise", term.noise)
-    delay: Any = term.delay
-    low, high = [delay, delay] if isinstance(delay, int) else delay
-    if not 0 <= low <= high:
-        problems.append(Problem(f"{path}.delay", f"needs 0 <= low <= high, got {delay}"))
-    return problems
-
-
-def _check_noise(path: str, noise: Any) -> list[Problem]:
-    if not isinstance(noise, NoiseCfg):  # from Python; in YAML pydantic has checked the type
-        kind = type(noise).__name__
-        return [Problem(path, f"must be a NoiseCfg, got {kind}; NoiseCfg.from_dict makes one")]
-    if noise.type not in _NOISE:
-        hint = did_you_mean(str(noise.type), _NOISE).strip()
-        message = f"unknown type {noise.type!r}; one of: {', '.join(_NOISE)}"
-        return [Problem(f"{path}.type", message, hint)]
-    allowed = _NOISE[noise.type]
-    keys = [key for names in _NOISE.values() for key in names if getattr(noise, key) is not None]
-    problems: list[Problem] = []
-    for key in keys:
-        if key not in allowed:
-            message = f"noise of type {noise.type!r} takes {', '.join(allowed)}"
-            problems.append(Problem(f"{path}.{key}", message))
-    takes_all_keys = not problems
-    for key, alias in _ALIASES.items():
-        if key in keys and alias in keys:
-            problems.append(Problem(f"{path}.{alias}", said_twice(key)))
-    if takes_all_keys:  # else a key may be missing because it has the name of another type's
-        for key in _NEEDED[noise.type]:
-            if key not in keys and _ALIASES.get(key) not in keys:
-                message = f"missing; noise of type {noise.type!r} needs it"
-                problems.append(Problem(f"{path}.{key}", message))
-    for key in keys:
-        if not np.isfinite(_numbers_in(getattr(noise, key))).all():
-            problems.append(Problem(f"{path}.{key}", "must be finite"))
-    return problems or _check_noise_order(path, noise)
-
-
-def _numbers_in(value: Any) -> NDArray[np.float64]:
-    """Return the numbers of a number, a list or a map."""
-    if isinstance(value, Mapping):
-        value = list(value.values())
-    return np.asarray(value, np.float64)
-
-
-def _check_noise_order(path: str, noise: NoiseCfg) -> list[Problem]:
-    if noise.type == "gaussian" and (_numbers_in(noise.std) < 0).any():
-        return [Problem(f"{path}.std", f"must not be negative, got {noise.std}")]
-    if noise.type != "uniform":
-        return []
-    low = noise.n_min if noise.low is None else noise.low
-    high = noise.n_max if noise.high is None else noise.high
-    if isinstance(low, Mapping) or isinstance(high, Mapping):
-        return []  # compared when they are spread over columns
-    if isinstance(low, list) and isinstance(high, list) and len(low) != len(high):
-        return [Problem(path, f"low has {len(low)} values, high {len(high)}")]
-    if (np.asarray(low) > np.asarray(high)).any():
-        return [Problem(path, f"low {low} exceeds high {high}")]
-    return []
 
 
 def check_corruption(cfg: EnvCfg) -> list[Problem]:

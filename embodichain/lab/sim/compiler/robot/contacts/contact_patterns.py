@@ -8,7 +8,6 @@ import mujoco
 
 from embodichain.lab.sim.compiler.geoms.contact_parameters import (
     ContactParameters,
-    check_contact,
     set_contact_parameters,
 )
 from embodichain.lab.sim.compiler.geoms.shape_geoms import collides
@@ -34,11 +33,10 @@ def check_contacts(
     """
     problems: list[Problem] = []
     names = [*_names(spec), *added]
-    for pattern, cfg in contact.items():
+    for pattern in contact:
         path = f"contact.{pattern}"
         ids, mistakes = match(pattern, names, "link or geom", path)
         problems += mistakes
-        problems += [p.below(path) for p in check_contact(cfg)]
         picked = [names[i] for i in ids]
         has_added = not set(picked).isdisjoint(added)
         if picked and not has_added and not _colliding_geoms(spec, picked):
