@@ -497,7 +497,7 @@ class CommandManager(DrawingManager[CommandCfg]):
                 total = self._sums.setdefault(f"{name}/{key}", np.zeros_like(self._steps))
                 total[where] += value[where]
 
-    def report(self, metrics: dict[str, torch.Tensor]) -> None:
+    def report(self, metrics: dict[str, NDArray[Any]]) -> None:
         """Add the means over the episode so far, this step included.
 
         Args:
@@ -505,7 +505,7 @@ class CommandManager(DrawingManager[CommandCfg]):
         """
         count = np.maximum(self._steps, 1.0)
         for name, total in self._sums.items():
-            metrics[name] = tensor_of((total / count).astype(np.float32))
+            metrics[name] = (total / count).astype(np.float32)
 
     @property
     def has_metrics(self) -> bool:

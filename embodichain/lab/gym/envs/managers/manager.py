@@ -87,6 +87,14 @@ class BuiltTerm(Generic[C]):
             return "obs" in lead
         return getattr(self.instance, "takes_obs", True)
 
+    @property
+    def takes_info(self) -> bool:
+        """Whether it takes ``info``, as a reward, termination or metric."""
+        lead = self.spec.lead
+        if lead is not None:
+            return "info" in lead
+        return getattr(self.instance, "takes_info", True)
+
 
 def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[C]:
     """Check a declared term and build it.
@@ -396,6 +404,7 @@ class Manager(Generic[C]):
     Attributes:
         revision: Number of changes of parameters and weights so far.
         takes_obs: Whether a reward, termination or metric takes the observation.
+        takes_info: Whether one takes ``info``.
     """
 
     def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
@@ -433,6 +442,7 @@ class Manager(Generic[C]):
     def _collect(self) -> None:
         """Collect the calls and states of the terms; repeated when a term is rebuilt."""
         self.takes_obs = any(term.takes_obs for term in self.terms.values())
+        self.takes_info = any(term.takes_info for term in self.terms.values())
         self._resets: list[tuple[str, Callable[[EnvIndex | None], None]]] = []
         self._stateful: dict[str, Any] = {}
         for name, term in self.terms.items():
