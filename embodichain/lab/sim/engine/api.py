@@ -115,6 +115,8 @@ class Engine(Protocol):
     model."""
     model: mujoco.MjModel
     num_envs: int
+    has_gravity: bool
+    """Whether the model's gravity, which may be zero, acts."""
     listeners: list[EngineListener]
     reports_writes: bool = True
     """Whether listeners are told of every write; else of what differs between two copies."""

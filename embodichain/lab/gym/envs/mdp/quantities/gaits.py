@@ -1,4 +1,4 @@
-"""`feet_gait`: how well the feet of a legged robot keep to a gait with a given period.
+"""`FeetGait`: how well the feet of a legged robot keep to a gait with a given period.
 
 For flat ground at height 0.
 """
@@ -24,25 +24,14 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.utils.array_types import Floats
 
-__all__ = ["feet_gait"]
+__all__ = ["FeetGait"]
 
 _EDGE = 1e-3
 """Of the sine, above which a foot swings: the sine of half a period is rounded to either sign."""
 
 
-@quantity("reward", "metric")
-def feet_gait(
-    env: TermContext,
-    sensor: ContactOf,
-    period_s: Positive,
-    offsets: PerJoint,
-    height: Positive = 0.06,
-    width: Positive = 0.035,
-    rest_height: NonNegative = 0.02,
-    command_name: VelocityCommand | None = None,
-    min_command: NonNegative = 0.1,
-    force_threshold: NonNegative = 1.0,
-) -> Floats:
+@quantity("reward", "metric", name="feet_gait")
+class FeetGait:
     """(N,) mean over feet, 0 to 1, of how well each keeps to its phase of a gait.
 
     With s = sin(2 pi (t / period + offset)), t the episode's time as in `phase`: while s > 0 a foot
@@ -67,25 +56,54 @@ def feet_gait(
         ``{func: feet_gait, weight: 0.5, params: {sensor: contacts, period_s: 0.5,
         offsets: {FL_foot|RR_foot: 0, FR_foot|RL_foot: 0.5}, command_name: velocity}}``
     """
-    if isinstance(offsets, list) and len(offsets) != len(sensor.names):
-        feet = ", ".join(sensor.names)
-        message = f"{len(offsets)} offsets for {len(sensor.names)} feet: {feet}"
-        raise ConfigError([Problem("offsets", message)])
-    phases = per_joint(offsets, sensor.names, "offsets", "foot", sensor.plan.named_by)
-    cycles = env.arrays.of(env.elapsed_steps) * (env.step_dt / period_s)
-    swing = np.stack([np.sin(2.0 * np.pi * (cycles + offset)) for offset in phases], axis=1)
-    if command_name is not None:
-        walks = norm(command_name()) > min_command
-        swing = np.where(walks[:, None], swing, 0.0)
-    origins = sensor.frames.positions(env.sim.engine)
-    above = origins[..., 2]
-    if env.sim.scene.terrain is not None:
-        from embodichain.lab.sim.reads.height_field import (
-            GroundHeights,  # few scenes have a terrain
-        )
 
-        ground = GroundHeights.of(env.sim.engine)
-        above = above - ground.read(origins[..., 0], origins[..., 1])[0]
-    error = (above - rest_height - height * swing) / width
-    touched = squares(sensor.read_force()) > force_threshold * force_threshold
-    return mean(np.where(swing > _EDGE, np.exp(-error * error), np.where(touched, 1.0, 0.0)))
+    def __init__(
+        self,
+        env: TermContext,
+        sensor: ContactOf,
+        period_s: Positive,
+        offsets: PerJoint,
+        height: Positive = 0.06,
+        width: Positive = 0.035,
+        rest_height: NonNegative = 0.02,
+        command_name: VelocityCommand | None = None,
+        min_command: NonNegative = 0.1,
+        force_threshold: NonNegative = 1.0,
+    ) -> None:
+        if isinstance(offsets, list) and len(offsets) != len(sensor.names):
+            feet = ", ".join(sensor.names)
+            message = f"{len(offsets)} offsets for {len(sensor.names)} feet: {feet}"
+            raise ConfigError([Problem("offsets", message)])
+        self._env = env
+        self._sensor = sensor
+        self._phases = per_joint(offsets, sensor.names, "offsets", "foot", sensor.plan.named_by)
+        self._cycles_per_step = env.step_dt / period_s
+        self._height = height
+        self._width = width
+        self._rest_height = rest_height
+        self._command = command_name
+        self._min_command = min_command
+        self._least_squared_force = force_threshold * force_threshold
+        self._has_terrain = env.sim.scene.terrain is not None
+
+    def __call__(self) -> Floats:
+        """(N,)."""
+        env = self._env
+        cycles = env.arrays.of(env.elapsed_steps) * self._cycles_per_step
+        swing = np.sin(2.0 * np.pi * (cycles[:, None] + self._phases))
+        if self._command is not None:
+            walks = norm(self._command()) > self._min_command
+            swing = np.where(walks[:, None], swing, 0.0)
+        origins = self._sensor.frames.positions(env.sim.engine)
+        above = origins[..., 2]
+        if self._has_terrain:
+            from embodichain.lab.sim.reads.height_field import (
+                GroundHeights,  # few scenes have a terrain
+            )
+
+            ground = GroundHeights.of(env.sim.engine)
+            above = above - ground.read(origins[..., 0], origins[..., 1])[0]
+        error = (above - self._rest_height - self._height * swing) / self._width
+        swings_well = np.exp(-error * error)
+        stands_well = squares(self._sensor.read_force()) > self._least_squared_force
+        return mean(np.where(swing > _EDGE, swings_well, stands_well))

@@ -39,8 +39,9 @@ def distance(env: TermContext, from_: Body, to: Body, use_xy_only: bool = False)
     Example:
         ``{func: distance, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid: goal}}}``
     """
-    delta = to.position() - from_.position()
-    return norm(delta[:, :2] if use_xy_only else delta)
+    if use_xy_only:
+        return norm(from_.vector_to(to)[:, :2])
+    return from_.distance_to(to)
 
 
 @quantity()
@@ -93,7 +94,7 @@ def relative_position(
         ``{func: relative_position, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid:
         goal}}}``
     """
-    delta = to.position() - from_.position()
+    delta = from_.vector_to(to)
     return rotate_back(from_.axes(), delta) if in_source_frame else delta
 
 
@@ -128,7 +129,7 @@ def relative_pose(
         ``{func: relative_pose, params: {from: {uid: cube}, to: {uid: goal}, representation:
         rot6d}}``
     """
-    place = rotate_back(from_.axes(), to.position() - from_.position())
+    place = rotate_back(from_.axes(), from_.vector_to(to))
     quat = quat_multiply(quat_conjugate(from_.orientation()), to.orientation())
     if representation == "matrix":
         return pose_matrix(place, quat)
