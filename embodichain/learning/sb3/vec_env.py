@@ -20,7 +20,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.observation import as_array, on_host
-from embodichain.lab.gym.envs.step.judging import none_set
+from embodichain.lab.gym.envs.step.step_result import none_set
 from embodichain.learning.spaces import (
     ActionScale,
     LearnerView,
@@ -206,7 +206,7 @@ class SB3VecEnv(VecEnv):
         if self._steps_in_arrays:
             result = self.base.step_arrays(action)
             final = None
-            if result.done is not None:
+            if result.final_obs is not None:
                 final = _Final(result.final_obs, {key: getattr(result, key) for key in _FINAL_KEYS})
             # A copy: learners add bootstrapped values to the rewards in place.
             rewards = result.reward.copy()

@@ -70,13 +70,12 @@ from embodichain.lab.gym.envs.step.judging import (
     StateDump,
     StepJudge,
     as_mask,
-    none_set,
     reset_ids,
     task_state,
 )
 from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.step.step_observation import StepObservation
-from embodichain.lab.gym.envs.step.step_result import StepResult
+from embodichain.lab.gym.envs.step.step_result import StepResult, none_set
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.array_types import host_ids
@@ -337,12 +336,13 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
         self._dump = None if self.arrays.on_device else StateDump(self.sim.engine)
         self._judge = self._make_judge()
-        observes_by_hooks = bool(self.overridden & {"get_obs", "_extend_obs"})
+        observing_hooks = {"get_obs", "_extend_obs"}
+        hooks_observe = not self.overridden.isdisjoint((*observing_hooks, "_get_sensor_obs"))
         self.observation_buffer = ObservationBuffer(
             robot,
             joint_ids,
             self.observation_manager,
-            plain=not observes_by_hooks,
+            plain=self.overridden.isdisjoint(observing_hooks),
             episodes=self.episodes,
             sensors=self.sensors,
         )
@@ -350,6 +350,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             self,
             self.get_obs,
             self.observation_buffer,
+            hooks_observe=hooks_observe,
             episodes=self.episodes,
             observations=self.observation_manager,
             events=self.event_manager,
@@ -629,8 +630,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             judged_obs = self._step_observation.to_judge(kwargs, stepped)
         self.command_manager.measure(stepped)
         result = judge.judge(judged_obs, action, kwargs)
-        with episodes.counting(present=False):
-            action = self._postprocess_action(action)
+        if "_postprocess_action" in self.overridden:
+            with episodes.counting(present=False):
+                action = self._postprocess_action(action)
         over = episodes.over()
         if "check_truncated" in self.overridden:
             cut = self.check_truncated(cast("Observation", judged_obs), result.class_info or {})
@@ -678,10 +680,12 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     def _going_on(self, result: StepResult, pending: Mask | None) -> EnvIndex | None:
         """Return the environments whose episode goes on after this step, None for all."""
-        ended = result.terminated | result.truncated
+        ended = result.done
         if pending is not None:
-            ended |= pending
-        return None if none_set(ended) else self.arrays.where(~ended)
+            ended = pending if ended is None else ended | pending
+        if ended is None or none_set(ended):
+            return None
+        return self.arrays.where(~ended)
 
     def _end_diverged(self, result: StepResult, action_values: Floats) -> None:
         """End the episodes of environments that diverged, with what was observed before."""
@@ -693,8 +697,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self._judge.explain(diverged, result)
         self._judge.exclude(diverged, result)
         result.obs = self.observation_buffer.without(result.obs, diverged)
-        result.terminated = result.terminated | diverged
-        result.truncated = result.truncated & ~diverged
+        result.set_ends(result.terminated | diverged, result.truncated & ~diverged)
         if self._dump is not None:
             self._dump.write(self.run_dir, diverged, self.control_step - 1, action_values)
 
@@ -715,7 +718,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     def _act(self, action: EnvAction) -> EnvAction:
         """Apply an action; return the one that rewards receive."""
-        if len(self.action_manager):
+        if self.action_manager.terms:
             if not isinstance(action, torch.Tensor):
                 raise TypeError(f"action terms take a tensor (N, A), got {type(action).__name__}")
             self.action_manager.apply(action)
@@ -725,18 +728,14 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     def _autoreset(self, result: StepResult) -> None:
         """Reset environments as the autoreset mode says."""
         mode = self.metadata["autoreset_mode"]
-        done: Mask | None = None
-        if not (none_set(result.terminated) and none_set(result.truncated)):
-            done = result.terminated | result.truncated
         to_reset: Mask | None = None
-        if mode is AutoresetMode.SAME_STEP and done is not None:
-            result.done = done
+        if mode is AutoresetMode.SAME_STEP and result.done is not None:
             result.final_obs = result.obs
-            to_reset = done
+            to_reset = result.done
         elif mode is AutoresetMode.NEXT_STEP:
             # Those that ended in the step before are reset now, the present ones in the next.
             to_reset = self.episodes.pending
-            self.episodes.pending = done
+            self.episodes.pending = result.done
         if to_reset is None or none_set(to_reset):
             return
         ids = self.arrays.where(to_reset)
@@ -1359,6 +1358,7 @@ OPTIONAL_HOOKS = (
     "get_reward",
     "_extend_reward",
     "check_truncated",
+    "_postprocess_action",
     "_hook_after_sim_step",
     "compute_task_state",
     "evaluate",

@@ -333,6 +333,11 @@ class ObservationManager(Manager[ObservationCfg]):
         return parts
 
     @property
+    def modifies(self) -> bool:
+        """Whether a term modifies an entry."""
+        return bool(self._modified)
+
+    @property
     def groups(self) -> tuple[str, ...]:
         """Names of the groups, in order of appearance."""
         return tuple(self._groups)
@@ -402,7 +407,10 @@ class ObservationManager(Manager[ObservationCfg]):
             argument: Any = obs
             if entry.modifies:
                 argument = new_tensor(unfinished[entry.path])
-            value = self._value(entry, argument, rows)
+            try:
+                value = entry.value(argument, rows)
+            except FAILURES as error:
+                self.fail(entry.term.name, error)
             if not place.is_last:
                 unfinished[entry.path] = value
             elif place.columns is not None and value.shape == place.shape:

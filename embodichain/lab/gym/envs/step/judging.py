@@ -25,7 +25,7 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import (
     warn_not_finite,
 )
 from embodichain.lab.gym.envs.managers.value_managers import check_shapes
-from embodichain.lab.gym.envs.step.step_result import StepResult
+from embodichain.lab.gym.envs.step.step_result import StepResult, none_set
 from embodichain.utils.array_types import EnvIds, host_ids
 from embodichain.utils.arrays import all_finite, as_env_ids, is_host, tensor_of
 from embodichain.utils.system.atomic import atomic_file
@@ -53,7 +53,6 @@ __all__ = [
     "StepJudge",
     "as_mask",
     "bad_rows",
-    "none_set",
     "reset_ids",
     "task_state",
 ]
@@ -100,16 +99,6 @@ def checked_reward(reward: Any, num_envs: int, hook: str, arrays: Arrays) -> NDA
         kind = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
         raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {kind}")
     return arrays.of(reward).astype(np.float32)
-
-
-def none_set(mask: Mask) -> bool:
-    """Whether no flag of a mask is set; for few environments, twice as fast as a reduction.
-
-    False on a device, where it is not known: what depends on the mask is then computed for all.
-    """
-    if not is_host(mask):
-        return False
-    return b"\1" not in mask.tobytes()
 
 
 def as_mask(value: Any, num_envs: int, what: str, arrays: Arrays) -> Mask:
@@ -265,7 +254,7 @@ class StepJudge:
 
     @property
     def shares_info(self) -> bool:
-        """Whether a hook or a term reads or fills ``info`` within the step: only then it is made."""
+        """Whether a hook or a term reads ``info`` within the step: only then it is made there."""
         return (
             self.hooks_share_info
             or self._terminations.takes_info
@@ -303,7 +292,7 @@ class StepJudge:
             self._commands.report(result.metrics)
         if "success" in result.metrics:
             result.success = result.metrics["success"] > 0
-        if len(self._curriculum):
+        if self._curriculum.terms:
             result.curriculum = dict(self._curriculum.values)
         if info is not None:
             self._complete(info, result)

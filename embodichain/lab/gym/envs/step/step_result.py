@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.gym.envs.step.episodes import add_finals
-from embodichain.utils.arrays import tensor_of
+from embodichain.utils.arrays import is_host, tensor_of
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observation import Observation
 
-__all__ = ["StepResult", "zeroed"]
+__all__ = ["StepResult", "none_set", "zeroed"]
 
 Mask = NDArray[np.bool_]
 
@@ -46,8 +46,8 @@ class StepResult:
         obs: The observation; where environments were reset in place, that of the new episode.
         diverged: (N,) bool.
         elapsed_steps: (N,) int32 control steps of the episodes, this one included.
-        done: (N,) environments that were reset in place, or None.
-        final_obs: The observation before they were reset, or None.
+        done: (N,) bool, terminated or truncated; None if it is known that none is.
+        final_obs: The observation before environments that are done were reset in place, or None.
         class_info: The dict that hooks and terms have read and filled, or None if none does.
     """
 
@@ -80,10 +80,17 @@ class StepResult:
         """
         if self.time_out is not None:
             truncated |= self.time_out
-        self.truncated = truncated
-        self.terminated = self.success_terminated | self.fail
+        terminated = self.success_terminated | self.fail
         if ignore_terminations:
-            self.terminated = np.zeros_like(self.terminated)
+            terminated = np.zeros_like(terminated)
+        self.set_ends(terminated, truncated)
+
+    def set_ends(self, terminated: Mask, truncated: Mask) -> None:
+        """Set `terminated` and `truncated`, (N,) bool, and `done`."""
+        self.terminated = terminated
+        self.truncated = truncated
+        done = terminated | truncated
+        self.done = None if none_set(done) else done
 
     def exclude(self, rows: Mask) -> None:
         """Set what was judged of environments, (N,) bool, to 0; their reward, too."""
@@ -101,8 +108,7 @@ class StepResult:
     def exclude_step(self, rows: Mask) -> None:
         """Set all results of environments, (N,) bool, to 0: the step does not count for them."""
         self.exclude(rows)
-        self.terminated = self.terminated & ~rows
-        self.truncated = self.truncated & ~rows
+        self.set_ends(self.terminated & ~rows, self.truncated & ~rows)
         self.diverged = self.diverged & ~rows
         self.elapsed_steps = _zeroed(self.elapsed_steps, rows)
 
@@ -119,8 +125,8 @@ class StepResult:
             info["diverged"] = tensor_of(self.diverged)
             info["elapsed_steps"] = tensor_of(self.elapsed_steps)
             self._info = info
-        if self.done is not None and "final_info" not in info:
-            add_finals(info, self.final_obs, self.done)
+        if self.final_obs is not None and "final_info" not in info:
+            add_finals(info, self.final_obs, cast("Mask", self.done))
         return info
 
     def _judged_info(self) -> dict[str, Any]:
@@ -135,6 +141,16 @@ class StepResult:
         if self.curriculum:
             info["curriculum"] = self.curriculum
         return info
+
+
+def none_set(mask: Mask) -> bool:
+    """Whether no flag of a mask is set; for few environments, twice as fast as a reduction.
+
+    False on a device, where it is not known: what depends on the mask is then computed for all.
+    """
+    if not is_host(mask):
+        return False
+    return b"\1" not in mask.tobytes()
 
 
 def _zeroed(values: NDArray[Any], rows: Mask) -> NDArray[Any]:
