@@ -45,6 +45,7 @@ class BodyMotion:
         # Poses of floating and kinematic roots are part of the state.
         self._pose = _pose_in_state(engine, index) if is_root else None
         # On the host an engine's field stays where it is: the view of its columns is made once.
+        self._position_field = frame.position_field
         self._field: Floats | None = None
         self._position: Floats = np.zeros((0, 3))
 
@@ -57,7 +58,7 @@ class BodyMotion:
         """(N, 3) m: a live view, do not store."""
         if self._pose is not None:
             return self._pose.position
-        field = self._engine.derived(self._frame.position_field)
+        field = self._engine.derived(self._position_field)
         if field is not self._field:
             if not is_host(field):
                 return field[:, self._frame.ids]

@@ -410,6 +410,7 @@ class Manager(Generic[C]):
     def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
         self.env = env
         self.num_envs = env.num_envs
+        self._arrays: Arrays = env.arrays
         self.section = section
         self._kind: Kind = kind
         self.revision = 0
@@ -484,10 +485,6 @@ class Manager(Generic[C]):
         self.revision += 1
         self._changed[name] = copy.deepcopy(self._changed.get(name, {}) | changes)
         self._collect()
-
-    @property
-    def _arrays(self) -> Arrays:
-        return self.env.arrays
 
     def __len__(self) -> int:
         return len(self.terms)

@@ -89,6 +89,7 @@ class TermRows(Mapping[str, "torch.Tensor"]):
 
 
 Masks = dict[str, NDArray[np.bool_]]
+_BOOL = np.dtype(np.bool_)
 
 
 class TerminationManager(Manager[TerminationCfg]):
@@ -144,7 +145,7 @@ class TerminationManager(Manager[TerminationCfg]):
                     value = self._arrays.of(value)
             except FAILURES as error:
                 self.fail(name, error)
-            if value.dtype != np.bool_:
+            if value.dtype != _BOOL:
                 self._warn_not_finite(name, value, "which counts as true")
             flags = value.astype(np.bool_)  # a copy: the term may reuse its array
             values.append(flags)
@@ -256,7 +257,8 @@ class MetricManager(Manager[MetricCfg]):
                 replaces ``success`` in it, (N,) bool.
 
         Returns:
-            The declared metrics: name -> (N,), this step included; new arrays.
+            The declared metrics: name -> (N,), this step included. They do not change afterwards:
+            do not write to them.
 
         Raises:
             ValueError: If a term's value has another shape than (N,); names the term.
@@ -279,14 +281,14 @@ class MetricManager(Manager[MetricCfg]):
                     value = self._arrays.of(value)
             except FAILURES as error:
                 self.fail(name, error)
-            if value.dtype != np.bool_:
+            if value.dtype != _BOOL:
                 self._warn_not_finite(name, value, "the metric keeps it")
             so_far = metric.join(self._so_far[name], value.astype(metric.dtype))
             self._so_far[name] = so_far
-            reduced = so_far / self._count if metric.is_mean else so_far.copy()
+            reduced = so_far / self._count if metric.is_mean else so_far
             values[name] = reduced
             if info is not None:
-                info["metrics"][name] = tensor_of(reduced)
+                info["metrics"][name] = tensor_of(reduced.copy())
                 if name == "success":  # before the other metrics, which may read it
                     info["success"] = tensor_of(reduced > 0)
         self._checked = True

@@ -66,7 +66,7 @@ def action_rows(env: TermContext, action: Any) -> Floats:
     """
     if not hasattr(action, "detach"):
         raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
-    return env.arrays.of(action.detach()).astype(np.float64)
+    return env.arrays.of(action).astype(np.float64)
 
 
 def tensor(array: NDArray[np.float64] | NDArray[np.bool_]) -> torch.Tensor:

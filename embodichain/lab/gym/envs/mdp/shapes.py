@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -188,14 +188,18 @@ def _columns(values: Floats) -> Floats:
 
 def _any_column(mask: Mask) -> Mask:
     """Whether a row has a True, (N,) or (N, K) -> (N,)."""
-    found: Any = mask if mask.ndim == 1 else mask.any(axis=1)
-    return cast("Mask", found)
+    if mask.ndim == 1:
+        return mask
+    any_column: Mask = mask.any(axis=1)
+    return any_column
 
 
 def _every_column(mask: Mask) -> Mask:
     """Whether all columns of a row are True, (N,) or (N, K) -> (N,)."""
-    found: Any = mask if mask.ndim == 1 else mask.all(axis=1)
-    return cast("Mask", found)
+    if mask.ndim == 1:
+        return mask
+    every_column: Mask = mask.all(axis=1)
+    return every_column
 
 
 def _length(values: Floats) -> Floats:

@@ -146,9 +146,9 @@ def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
 
     On a device it is always a mask.
     """
-    if is_host(values) and all_finite(values):
-        return None
     if is_host(values):
+        if all_finite(values):
+            return None
         return ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
     largest = np.abs(values) if values.ndim == 1 else np.abs(values).max(axis=1)
     # The largest of NaN and others is NaN.
@@ -285,7 +285,7 @@ class StepJudge:
         """
         info = self._class_info(kwargs) if self.shares_info else None
         result = self._ends(obs, action, info)
-        result.metrics |= self._metrics.compute(obs, action, info)
+        result.metrics.update(self._metrics.compute(obs, action, info))
         if self._actions.has_metrics:
             self._actions.report(result.metrics)
         if self._commands.has_metrics:
@@ -314,14 +314,13 @@ class StepJudge:
     def _ends(self, obs: Any, action: Any, info: Info | None) -> StepResult:
         """Return the result with what ends episodes: the class's success and terminations."""
         env = self._env
-        told = info or {}
-        success = as_mask(told.get("success"), env.num_envs, "success", env.arrays)
-        fail = as_mask(told.get("fail"), env.num_envs, "fail", env.arrays)
+        class_masks: dict[str, Mask] = {}
+        if info is not None:
+            for kind in ("success", "fail"):
+                class_masks[kind] = as_mask(info.get(kind), env.num_envs, kind, env.arrays)
         masks = self._terminations.compute(obs, action, info)
-        if "success" in masks:
-            success = success | masks["success"]
-        if "fail" in masks:
-            fail = fail | masks["fail"]
+        success = self._either(masks.get("success"), class_masks.get("success"))
+        fail = self._either(masks.get("fail"), class_masks.get("fail"))
         metrics: dict[str, NDArray[Any]] = {}
         if info is not None:
             info["success"] = tensor_of(success.copy())
@@ -339,6 +338,14 @@ class StepJudge:
             class_info=info,
             terminations=self._terminations.values,
         )
+
+    def _either(self, mask: Mask | None, other: Mask | None) -> Mask:
+        """(N,) where either of two masks is set; None is a mask without a flag."""
+        if mask is None and other is None:
+            return np.zeros_like(self._episodes.success)
+        if mask is None or other is None:
+            return other if mask is None else mask
+        return mask | other
 
     def _complete(self, info: Info, result: StepResult) -> None:
         """Add what is judged beside the terms to ``info``."""

@@ -132,9 +132,9 @@ class StepResult:
     def _judged_info(self) -> dict[str, Any]:
         info: dict[str, Any] = {
             "success": tensor_of(self.success.copy()),
-            "fail": tensor_of(self.fail),
-            "success_terminated": tensor_of(self.success_terminated),
-            "metrics": {name: tensor_of(values) for name, values in self.metrics.items()},
+            "fail": tensor_of(self.fail.copy()),
+            "success_terminated": tensor_of(self.success_terminated.copy()),
+            "metrics": {name: tensor_of(values.copy()) for name, values in self.metrics.items()},
             "rewards": self.rewards,
             "episode_sums": self.episode_sums,
         }
