@@ -422,7 +422,7 @@ def _by_name(values: Mapping[str, torch.Tensor], ids: NDArray[np.int64]) -> list
     return [{name: column[k] for name, column in columns.items()} for k in range(len(ids))]
 
 
-def _ended_by(info: dict[str, Any], ids: NDArray[np.int64]) -> list[str]:
+def _ended_by(info: Mapping[str, Any], ids: NDArray[np.int64]) -> list[str]:
     """Return the cause of the end for each environment of `ids`: ``time_out`` without a flag."""
     flags = {cause: as_array(info[key])[ids] for cause, key in ENDS.items() if key}
     return np.select(list(flags.values()), list(flags), "time_out").tolist()

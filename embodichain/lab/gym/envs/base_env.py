@@ -554,7 +554,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             return self._step_by_graph(self._graph, checked_action)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def step_arrays(self, action: EnvAction) -> StepResult:
+    def step_arrays(self, action: EnvAction | NDArray[Any]) -> StepResult:
         """`step` for code of this package that reads arrays: makes no tensors and no ``info``.
 
         Args:
@@ -575,7 +575,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         is_plain = type(self).step is BaseEnv.step and not self._judge.hooks_share_info
         return is_plain and not self.arrays.on_device
 
-    def _begin_step(self, action: EnvAction) -> tuple[EnvAction, Floats]:
+    def _begin_step(self, action: EnvAction | NDArray[Any]) -> tuple[EnvAction, Floats]:
         """Check that a step can be taken by an action; return it and its numbers (N, A)."""
         require_open(self._closed)
         if not self.episodes.begun:

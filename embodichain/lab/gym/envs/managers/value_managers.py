@@ -68,6 +68,10 @@ class TermRows(Mapping[str, "torch.Tensor"]):
             self._tensors[name] = tensor
         return tensor
 
+    def arrays(self) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Yield name and values (N,) of each term: do not write to them."""
+        return zip(self.names, self.rows, strict=True)
+
     def zeroed(self, rows: NDArray[np.bool_]) -> TermRows:
         """Return the values with those of some environments, (N,) bool, set to 0."""
         if isinstance(self.rows, (list, tuple)):

@@ -190,7 +190,7 @@ def _any_column(mask: Mask) -> Mask:
     """Whether a row has a True, (N,) or (N, K) -> (N,)."""
     if mask.ndim == 1:
         return mask
-    any_column: Mask = mask.any(axis=1)
+    any_column: Any = mask.any(axis=1)
     return any_column
 
 
@@ -198,7 +198,7 @@ def _every_column(mask: Mask) -> Mask:
     """Whether all columns of a row are True, (N,) or (N, K) -> (N,)."""
     if mask.ndim == 1:
         return mask
-    every_column: Mask = mask.all(axis=1)
+    every_column: Any = mask.all(axis=1)
     return every_column
 
 

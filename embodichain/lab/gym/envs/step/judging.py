@@ -341,11 +341,9 @@ class StepJudge:
 
     def _either(self, mask: Mask | None, other: Mask | None) -> Mask:
         """(N,) where either of two masks is set; None is a mask without a flag."""
-        if mask is None and other is None:
-            return np.zeros_like(self._episodes.success)
-        if mask is None or other is None:
-            return other if mask is None else mask
-        return mask | other
+        if mask is None:
+            return np.zeros_like(self._episodes.success) if other is None else other
+        return mask if other is None else mask | other
 
     def _complete(self, info: Info, result: StepResult) -> None:
         """Add what is judged beside the terms to ``info``."""

@@ -132,9 +132,9 @@ class ObservationBuffer:
             obs = Observation(self.layout, self.layout.empty())
             for columns, read in self._robot_columns:
                 obs.rows[:, columns] = read()[:, self._joints]
-            entries = _sensor_entries(sensors) if self._robot_columns else self._entries(sensors)
+            rest = _sensor_entries(sensors) if self._robot_columns else self._entries(sensors)
             with self._episodes.counting(present=True):
-                self._manager.write(obs, entries)
+                self._manager.write(obs, rest)
             return obs
         entries = TensorMapping(batch_size=(self._manager.num_envs,))
         for path, value in self._entries(sensors).items():

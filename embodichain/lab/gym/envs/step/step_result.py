@@ -112,6 +112,25 @@ class StepResult:
         self.diverged = self.diverged & ~rows
         self.elapsed_steps = _zeroed(self.elapsed_steps, rows)
 
+    def entries(self) -> dict[str, Any]:
+        """The entries of ``info`` as arrays (N,), or maps of arrays by name: do not write to them.
+
+        Those of a class's hooks and of final observations are left out.
+        """
+        entries: dict[str, Any] = {
+            "elapsed_steps": self.elapsed_steps,
+            "success": self.success,
+            "success_terminated": self.success_terminated,
+            "fail": self.fail,
+            "diverged": self.diverged,
+            "metrics": self.metrics,
+            "rewards": self.rewards,
+            "episode_sums": self.episode_sums,
+        }
+        if self.curriculum:
+            entries["curriculum"] = self.curriculum
+        return entries
+
     def info(self) -> dict[str, Any]:
         """Return the dict that `BaseEnv.step` returns, the same one at every call.
 
@@ -121,26 +140,27 @@ class StepResult:
         if info is None:
             info = self.class_info
             if info is None:
-                info = self._judged_info()
-            info["diverged"] = tensor_of(self.diverged)
-            info["elapsed_steps"] = tensor_of(self.elapsed_steps)
+                info = _as_tensors(self.entries())
+            else:
+                info["elapsed_steps"] = tensor_of(self.elapsed_steps)
+                info["diverged"] = tensor_of(self.diverged)
             self._info = info
         if self.final_obs is not None and "final_info" not in info:
             add_finals(info, self.final_obs, cast("Mask", self.done))
         return info
 
-    def _judged_info(self) -> dict[str, Any]:
-        info: dict[str, Any] = {
-            "success": tensor_of(self.success.copy()),
-            "fail": tensor_of(self.fail.copy()),
-            "success_terminated": tensor_of(self.success_terminated.copy()),
-            "metrics": {name: tensor_of(values.copy()) for name, values in self.metrics.items()},
-            "rewards": self.rewards,
-            "episode_sums": self.episode_sums,
-        }
-        if self.curriculum:
-            info["curriculum"] = self.curriculum
-        return info
+
+def _as_tensors(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Copies of arrays as tensors; `TermRows`, which copy what is read, and numbers as they are."""
+    tensors: dict[str, Any] = {}
+    for name, value in entries.items():
+        if isinstance(value, dict):
+            tensors[name] = _as_tensors(value)
+        elif isinstance(value, (TermRows, float)):
+            tensors[name] = value
+        else:
+            tensors[name] = tensor_of(value.copy())
+    return tensors
 
 
 def none_set(mask: Mask) -> bool:
