@@ -222,6 +222,13 @@ class Engine(Protocol):
     def model_field(self, field: str) -> NDArray[Any]:
         """(N, size) flattened per-environment values of a model field. Do not write."""
 
+    @property
+    def models_may_differ(self) -> bool:
+        """Whether `model_values` may have a row for each environment for fields that are written.
+
+        False until the first `write_model`; always True on a device.
+        """
+
     def model_values(self, field: str) -> NDArray[Any]:
         """(N or 1, ...) values of a model field; one row if all environments share it.
 

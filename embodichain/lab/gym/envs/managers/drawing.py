@@ -494,7 +494,10 @@ class CommandManager(DrawingManager[CommandCfg]):
         self._steps[where] += 1.0
         for name, metrics in self._measured:
             for key, value in metrics().items():
-                total = self._sums.setdefault(f"{name}/{key}", np.zeros_like(self._steps))
+                total = self._sums.get(f"{name}/{key}")
+                if total is None:
+                    total = np.zeros_like(self._steps)
+                    self._sums[f"{name}/{key}"] = total
                 total[where] += value[where]
 
     def report(self, metrics: dict[str, NDArray[Any]]) -> None:

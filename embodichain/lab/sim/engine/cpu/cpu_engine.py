@@ -257,6 +257,10 @@ class HostEngine(Uncopied, Engine):
             self._set_const_now()
         return fields.view(field)
 
+    @property
+    def models_may_differ(self) -> bool:
+        return self._fields.any
+
     def model_values(self, field: str) -> NDArray[Any]:
         fields = self._fields
         if fields.stale and field in DERIVED_FIELDS:
