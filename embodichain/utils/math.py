@@ -3,6 +3,8 @@
 All functions use elementwise arithmetic in a fixed order, without matrix products, so that a row's
 result does not depend on the number of rows. Products of all pairs of components are computed in
 one call and then selected: with few environments the number of numpy calls determines the cost.
+A sum of squares is a dot product of each contiguous row: its rounding does not depend on the number
+of rows either, unlike that of a numpy reduction.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.utils.array_types import Floats
 from embodichain.utils.arrays import contiguous, is_host, zeros
@@ -20,6 +23,7 @@ __all__ = [
     "look_at",
     "matrix_to_pose",
     "matrix_to_quat",
+    "norm",
     "normalize_quat",
     "pose_to_matrix",
     "quat_conjugate",
@@ -32,6 +36,7 @@ __all__ = [
     "rotate_back",
     "rotvec_to_quat",
     "rpy_to_quat",
+    "squares",
     "wrapped",
 ]
 
@@ -62,6 +67,17 @@ def _products(a: Floats, b: Floats) -> Floats:
     pairs = a[..., :, None] * b[..., None, :]
     # Not -1: of an array without rows it is undetermined.
     return pairs.reshape(*pairs.shape[:-2], pairs.shape[-2] * pairs.shape[-1])
+
+
+def squares(vectors: NDArray[Any]) -> Floats:
+    """Sum of the squares of the rows, (N, ..., K) -> (N, ...)."""
+    rows = contiguous(vectors, np.float64)
+    return np.vecdot(rows, rows)
+
+
+def norm(vectors: NDArray[Any]) -> Floats:
+    """Euclidean length of the rows, (N, ..., K) -> (N, ...)."""
+    return np.sqrt(squares(vectors))
 
 
 def quat_multiply(a: Floats, b: Floats) -> Floats:

@@ -34,6 +34,8 @@ class PolicyView:
     def __init__(self, env: BaseEnv) -> None:
         manager = env.observation_manager
         declared = "policy" in manager.groups
+        self._manager = manager
+        self._declared = declared
         paths = ["/".join(path) for path in env.observation_paths]
         names = manager.group_terms("policy") if declared else paths
         self._entries = entry_spaces(env.single_observation_space, names)
@@ -56,6 +58,8 @@ class PolicyView:
         """
         if not self._flat:
             return named_obs(obs, self._entries)
+        if self._declared:
+            return np.array(self._manager.flat_rows(obs, "policy"))
         count = int(obs.batch_size[0])
         parts = [obs[path].reshape(count, -1).numpy(force=True) for path in self._paths]
         none = np.zeros((count, 0), np.float32)  # concatenate needs at least one part

@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.envs.observation import numpy_obs
+from embodichain.lab.gym.envs.managers.value_managers import TermRows
+from embodichain.lab.gym.envs.observation import as_array, numpy_obs
 from embodichain.lab.gym.envs.step.episodes import AutoresetMode
 from embodichain.lab.gym.policy_view import PolicyView
 from embodichain.lab.sim.types import EnvObs
@@ -66,9 +67,17 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
         Args:
             action: (A,) finite numbers.
         """
-        batched = np.asarray(action, np.float32)[None]
-        obs, reward, terminated, truncated, info = self.env.step(batched)  # type: ignore[arg-type]
-        single_info = _first_info(info)
+        batched: Any = np.asarray(action, np.float32)[None]
+        if self.env.steps_in_arrays:
+            result = self.env.step_arrays(batched)
+            obs: EnvObs = result.obs
+            reward: Any = result.reward
+            terminated: Any = result.terminated
+            truncated: Any = result.truncated
+            single_info = _first_info(result.entries())
+        else:
+            obs, reward, terminated, truncated, info = self.env.step(batched)
+            single_info = _first_info(info)
         if self.env.judges_success:
             single_info["is_success"] = single_info["success"]
         return (
@@ -103,10 +112,12 @@ def _first_info(info: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of the environment; scalars become Python scalars."""
     first: dict[str, Any] = {}
     for key, value in info.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, TermRows):
+            first[key] = {name: row[0].item() for name, row in value.arrays()}
+        elif isinstance(value, Mapping):
             first[key] = _first_info(value)
-        elif isinstance(value, torch.Tensor) and value.shape[:1] == (1,):
-            first[key] = value[0].item() if value.ndim == 1 else value[0].numpy()
+        elif isinstance(value, (torch.Tensor, np.ndarray)) and value.shape[:1] == (1,):
+            first[key] = value[0].item() if value.ndim == 1 else as_array(value[0])
         else:
             first[key] = value
     return first

@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.gym.envs.observation import numpy_obs
 from embodichain.lab.gym.envs.step.episodes import parse_mode
 from embodichain.lab.gym.policy_view import PolicyView
@@ -89,7 +90,15 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         Args:
             actions: (N, A) finite floating point numbers.
         """
-        obs, reward, terminated, truncated, info = self.env.step(np.asarray(actions))  # type: ignore[arg-type]
+        action: Any = np.asarray(actions)
+        if self.env.steps_in_arrays:
+            result = self.env.step_arrays(action)
+            infos = self._infos(result.entries())
+            if result.final_obs is not None and result.done is not None:
+                self._add_finals(infos, result.final_obs, dict(infos), result.done)
+            obs = self._numpy(result.obs)
+            return obs, result.reward, result.terminated, result.truncated, infos
+        obs, reward, terminated, truncated, info = self.env.step(action)
         return (
             self._numpy(obs),
             reward.numpy(),
@@ -103,11 +112,18 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         arrays = {key: self._array(value) for key, value in info.items() if key not in _FINAL}
         if "final_obs" in info:
             done = info["_final_obs"].numpy()
-            arrays["final_obs"] = self._final_obs(info["final_obs"], done)
-            arrays["final_info"] = self._infos(info["final_info"])
-            arrays["_final_obs"] = done
-            arrays["_final_info"] = done.copy()
+            final_info = self._infos(info["final_info"])
+            self._add_finals(arrays, info["final_obs"], final_info, done)
         return arrays
+
+    def _add_finals(
+        self, infos: dict[str, Any], obs: EnvObs, info: dict[str, Any], done: NDArray[np.bool_]
+    ) -> None:
+        """Add the final observation and info of environments that are done."""
+        infos["final_obs"] = self._final_obs(obs, done)
+        infos["final_info"] = info
+        infos["_final_obs"] = done
+        infos["_final_info"] = done.copy()
 
     def _final_obs(self, obs: EnvObs, done: NDArray[np.bool_]) -> NDArray[np.object_]:
         """One observation per environment, None where it is not final (Gymnasium's convention)."""
@@ -118,13 +134,15 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         return final
 
     def _array(self, value: Any) -> Any:
-        """Rows as they are, nested dicts of them, or anything else once for each environment."""
+        """Copies of rows, nested dicts of them, or anything else once for each environment."""
+        if isinstance(value, TermRows):
+            return {name: row.copy() for name, row in value.arrays()}
         if isinstance(value, Mapping):
             return {key: self._array(v) for key, v in value.items()}
         if isinstance(value, torch.Tensor):
-            value = value.cpu().numpy()
+            return self._array(value.cpu().numpy())
         if isinstance(value, np.ndarray) and value.shape[:1] == (self.num_envs,):
-            return value
+            return value.copy()
         return np.full(self.num_envs, value, dtype=object)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

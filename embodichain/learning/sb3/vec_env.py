@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
@@ -18,9 +19,8 @@ from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-from embodichain.lab.gym.envs.observation import on_host
-from embodichain.lab.gym.envs.step.judging import none_set
-from embodichain.learning.episode_statistics import as_array
+from embodichain.lab.gym.envs.observation import as_array, on_host
+from embodichain.lab.gym.envs.step.step_result import none_set
 from embodichain.learning.spaces import (
     ActionScale,
     LearnerView,
@@ -47,6 +47,31 @@ Bool = NDArray[np.bool_]
 Indices = int | Iterable[int] | None
 Infos = list[dict[str, Any]]
 Observed = F32 | dict[str, NDArray[Any]]
+
+
+_FINAL_KEYS = (
+    "success",
+    "success_terminated",
+    "fail",
+    "diverged",
+    "elapsed_steps",
+    "episode_sums",
+    "metrics",
+)
+"""Entries of ``final_info`` that are read; `StepResult` has attributes of these names."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Final:
+    """What there was when episodes ended.
+
+    Attributes:
+        obs: The observation before the reset.
+        info: The entries of ``final_info``, at least those of `_FINAL_KEYS`, as tensors or arrays.
+    """
+
+    obs: Any
+    info: Mapping[str, Any]
 
 
 class SB3VecEnv(VecEnv):
@@ -110,7 +135,9 @@ class SB3VecEnv(VecEnv):
         self._has_success = self.base.judges_success
         self._start = time.time()
         self._returns = np.zeros(num_envs)
-        self._action: torch.Tensor | None = None
+        self._action: F32 | None = None
+        # A wrapper, or a class that overrides hooks, changes what `step` returns.
+        self._steps_in_arrays = env is self.base and getattr(self.base, "steps_in_arrays", False)
         self._packs = self.base.device.type != "cpu"
         self.step_seconds = 0.0
         """Wall time spent in `step` so far."""
@@ -145,7 +172,7 @@ class SB3VecEnv(VecEnv):
         Raises:
             ValueError: If the shape is wrong.
         """
-        self._action = torch.from_numpy(self._scale(actions)).to(self.base.device)
+        self._action = self._scale(actions)
 
     def step_wait(self) -> tuple[Observed, F32, Bool, Infos]:
         """Step all environments.
@@ -163,19 +190,33 @@ class SB3VecEnv(VecEnv):
         start = time.perf_counter()
         action = self._action
         self._action = None
-        obs, reward, terminated, truncated, info = self.env.step(action)
-        observed, rewards, is_terminated, is_truncated = self._on_host(
-            obs, reward, terminated, truncated
-        )
-        dones = is_terminated | is_truncated
+        observed, rewards, terminated, truncated, final = self._step(action)
+        dones = terminated | truncated
         self._returns += rewards
         # New dicts: if they shared one, a callback's write to it would appear in all environments
         # and steps. 20 ns each, well below 1 % of a step.
         infos: Infos = [{} for _ in range(self.num_envs)]
-        if not none_set(dones):
-            self._finish(infos, np.flatnonzero(dones), is_terminated, info)
+        if final is not None:
+            self._finish(infos, np.flatnonzero(dones), terminated, final)
         self.step_seconds += time.perf_counter() - start
         return observed, rewards, dones, infos
+
+    def _step(self, action: F32) -> tuple[Observed, F32, Bool, Bool, _Final | None]:
+        """Step all environments; what ended is None where no episode did."""
+        if self._steps_in_arrays:
+            result = self.base.step_arrays(action)
+            final = None
+            if result.final_obs is not None:
+                final = _Final(result.final_obs, {key: getattr(result, key) for key in _FINAL_KEYS})
+            # A copy: learners add bootstrapped values to the rewards in place.
+            rewards = result.reward.copy()
+            return self._observed(result.obs), rewards, result.terminated, result.truncated, final
+        obs, reward, terminated, truncated, info = self.env.step(
+            torch.from_numpy(action).to(self.base.device)
+        )
+        arrays = self._on_host(obs, reward, terminated, truncated)
+        ended = not none_set(arrays[2]) or not none_set(arrays[3])
+        return *arrays, _Final(info["final_obs"], info["final_info"]) if ended else None
 
     def _on_host(
         self, obs: Any, reward: Any, terminated: Any, truncated: Any
@@ -191,11 +232,11 @@ class SB3VecEnv(VecEnv):
         return self._observed(obs), rewards, as_array(terminated), as_array(truncated)
 
     def _finish(
-        self, infos: Infos, ids: NDArray[np.int64], terminated: Bool, info: dict[str, Any]
+        self, infos: Infos, ids: NDArray[np.int64], terminated: Bool, final: _Final
     ) -> None:
         """Fill the infos of environments whose episode ended, and begin the next one's counts."""
-        final_info = info["final_info"]
-        observations = _rows(self._observed(info["final_obs"]), ids)
+        final_info = final.info
+        observations = _rows(self._observed(final.obs), ids)
         success = as_array(final_info["success"]) if self._has_success else None
         lengths = as_array(final_info["elapsed_steps"])
         seconds = round(time.time() - self._start, 6)
@@ -381,7 +422,7 @@ def _by_name(values: Mapping[str, torch.Tensor], ids: NDArray[np.int64]) -> list
     return [{name: column[k] for name, column in columns.items()} for k in range(len(ids))]
 
 
-def _ended_by(info: dict[str, Any], ids: NDArray[np.int64]) -> list[str]:
+def _ended_by(info: Mapping[str, Any], ids: NDArray[np.int64]) -> list[str]:
     """Return the cause of the end for each environment of `ids`: ``time_out`` without a flag."""
     flags = {cause: as_array(info[key])[ids] for cause, key in ENDS.items() if key}
     return np.select(list(flags.values()), list(flags), "time_out").tolist()

@@ -64,19 +64,18 @@ from embodichain.lab.gym.envs.scene_setup.scene_building import (
     open_window,
     with_all_problems,
 )
-from embodichain.lab.gym.envs.step.episodes import Episodes, add_finals, parse_mode, seed_globals
+from embodichain.lab.gym.envs.step.episodes import Episodes, parse_mode, seed_globals
 from embodichain.lab.gym.envs.step.judging import (
     JudgingHooks,
     StateDump,
     StepJudge,
     as_mask,
-    none_set,
     reset_ids,
     task_state,
-    zeroed,
 )
 from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.step.step_observation import StepObservation
+from embodichain.lab.gym.envs.step.step_result import StepResult, none_set
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.array_types import host_ids
@@ -97,7 +96,6 @@ __all__ = ["BaseEnv", "EmbodiedEnv"]
 Step = tuple[EnvObs, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 Mask = NDArray[np.bool_]
 Info = dict[str, Any]
-_ZERO = np.float32(0.0)
 _SUCCESS_HOOKS = frozenset({"compute_task_state", "evaluate", "get_info"})
 """Hooks of a class that may say what success is."""
 
@@ -340,12 +338,13 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
         self._dump = None if self.arrays.on_device else StateDump(self.sim.engine)
         self._judge = self._make_judge()
-        observes_by_hooks = bool(self.overridden & {"get_obs", "_extend_obs"})
+        observing_hooks = {"get_obs", "_extend_obs"}
+        hooks_observe = not self.overridden.isdisjoint((*observing_hooks, "_get_sensor_obs"))
         self.observation_buffer = ObservationBuffer(
             robot,
             joint_ids,
             self.observation_manager,
-            plain=not observes_by_hooks,
+            plain=self.overridden.isdisjoint(observing_hooks),
             episodes=self.episodes,
             sensors=self.sensors,
         )
@@ -353,6 +352,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             self,
             self.get_obs,
             self.observation_buffer,
+            hooks_observe=hooks_observe,
             episodes=self.episodes,
             observations=self.observation_manager,
             events=self.event_manager,
@@ -549,15 +549,41 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             TermError: If a term raised an exception; names the term and where it is declared.
             gymnasium.error.ClosedEnvironmentError: After `close`, as all that needs the simulation.
         """
+        checked_action, action_values = self._begin_step(action)
+        with self.copies or nullcontext():
+            if self._graph is None or kwargs or not isinstance(checked_action, torch.Tensor):
+                return _as_tensors(self._step(checked_action, action_values, kwargs))
+            return self._step_by_graph(self._graph, checked_action)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def step_arrays(self, action: EnvAction | NDArray[Any]) -> StepResult:
+        """`step` for code of this package that reads arrays: makes no tensors and no ``info``.
+
+        Args:
+            action: As of `step`.
+
+        Returns:
+            The same step as arrays of the host; do not write to them.
+        """
+        return self._step(*self._begin_step(action), {})
+
+    @property
+    def steps_in_arrays(self) -> bool:
+        """Whether `step_arrays` does all that `step` does.
+
+        It does not where arrays are on a device, where the class overrides `step`, or where one of
+        its hooks may change what ``info`` says.
+        """
+        is_plain = type(self).step is BaseEnv.step and not self._judge.hooks_share_info
+        return is_plain and not self.arrays.on_device
+
+    def _begin_step(self, action: EnvAction | NDArray[Any]) -> tuple[EnvAction, Floats]:
+        """Check that a step can be taken by an action; return it and its numbers (N, A)."""
         require_open(self._closed)
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
         self.curriculum_manager.before_step()
-        checked_action, action_values = self._check_action(action)
-        with self.copies or nullcontext():
-            if self._graph is None or kwargs or not isinstance(checked_action, torch.Tensor):
-                return self._step(checked_action, action_values, kwargs)
-            return self._step_by_graph(self._graph, checked_action)
+        return self._check_action(action)
 
     def _step_by_graph(self, graph: StepGraph, action: torch.Tensor) -> Step:
         """Take a step by a CUDA graph, once one is recorded; a replay runs no Python."""
@@ -567,7 +593,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
         def run(action: torch.Tensor) -> Step:
             checked_action, action_values = self._check_action(action)
-            return self._step(checked_action, action_values, {})
+            return _as_tensors(self._step(checked_action, action_values, {}))
 
         def forget() -> None:
             self.control_step = steps_before
@@ -579,8 +605,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.control_step = steps_before + 1
         return result
 
-    def _step(self, action: EnvAction, action_values: Floats, kwargs: dict[str, Any]) -> Step:
-        """Take a step by a checked action and its numbers (N, A)."""
+    def _step(self, action: EnvAction, action_values: Floats, kwargs: dict[str, Any]) -> StepResult:
+        """Take a step by a checked action and its numbers (N, A); see `step` for the order."""
         episodes = self.episodes
         judge = self._judge
         episodes.last_action = action_values
@@ -605,73 +631,45 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         if judge.takes_obs:
             judged_obs = self._step_observation.to_judge(kwargs, stepped)
         self.command_manager.measure(stepped)
-        info, outcome = judge.compute_info(judged_obs, action, kwargs)
-        reward = judge.compute_reward(judged_obs, action, info)
-        with episodes.counting(present=False):
-            action = self._postprocess_action(action)
+        result = judge.judge(judged_obs, action, kwargs)
+        if "_postprocess_action" in self.overridden:
+            with episodes.counting(present=False):
+                action = self._postprocess_action(action)
         over = episodes.over()
-        if judged_obs is not None and "check_truncated" in self.overridden:
-            cut = self.check_truncated(judged_obs, info)
+        if "check_truncated" in self.overridden:
+            cut = self.check_truncated(cast("Observation", judged_obs), result.class_info or {})
             over |= as_mask(cut, self.num_envs, "check_truncated", self.arrays)
-        terminated, truncated = outcome.ends(over, self.cfg.ignore_terminations)
+        result.end(over, self.cfg.ignore_terminations)
 
-        going_on = self._going_on(terminated, truncated, pending)
+        going_on = self._going_on(result, pending)
         changed = self.event_manager.step(going_on, stepped) + self.command_manager.step(going_on)
-        obs = self._step_observation.to_return(judged_obs, changed, kwargs, stepped)
-        diverged = judge.find_diverged(obs, reward)
-        if diverged is not None:
-            judge.explain(diverged, obs, reward, info)
-            info = judge.exclude(diverged, info)
-            obs = self.observation_buffer.without(obs, diverged)
-            reward = np.where(diverged, _ZERO, reward)
-            terminated = terminated | diverged
-            truncated = truncated & ~diverged
-            if self._dump is not None:
-                self._dump.write(self.run_dir, diverged, self.control_step - 1, action_values)
-        self.observation_buffer.store(obs)
-        if diverged is None:
-            diverged = np.zeros(len(action_values), np.bool_)
-        info["diverged"] = tensor_of(diverged)
-        info["elapsed_steps"] = self.elapsed_steps
-
+        result.obs = self._step_observation.to_return(judged_obs, changed, kwargs, stepped)
+        self._end_diverged(result, action_values)
+        self.observation_buffer.store(result.obs)
+        result.elapsed_steps = episodes.count
         if pending is not None and counters is not None:
             self.streams.rewind(counters, pending)
-            terminated = terminated & ~pending
-            truncated = truncated & ~pending
-            reward = np.where(pending, _ZERO, reward)
-            info = zeroed(info, pending)
-        terminateds = tensor_of(terminated)
-        truncateds = tensor_of(truncated)
-        rewards = tensor_of(reward)
+            result.exclude_step(pending)
         if "_hook_after_sim_step" in self.overridden:
-            self._hook_after_sim_step(
-                obs,
-                action,
-                rewards,
-                tensor_of(terminated | truncated),
-                info,
-                terminateds=terminateds.clone(),
-                truncateds=truncateds.clone(),
-                **kwargs,
-            )
+            self._call_hook_after_step(result, action, kwargs)
 
         # Observers may keep the ids of the episodes that end, which the reset counts on.
         episode_ids = episodes.ids.copy() if self.observers else episodes.ids
-        obs = self._autoreset(obs, info, terminated, truncated)
+        self._autoreset(result)
         if self.observers:
             record = StepRecord(
                 control_step=self.control_step,
                 action=action_values,
-                reward=reward,
-                terminated=terminated,
-                truncated=truncated,
-                info=info,
-                obs=obs,
+                reward=result.reward,
+                terminated=result.terminated,
+                truncated=result.truncated,
+                info=result.info(),
+                obs=result.obs,
                 episode_ids=episode_ids,
             )
             for observer in self.observers:
                 observer.on_step(self, record)
-        return obs, rewards, terminateds, truncateds, info
+        return result
 
     def _step_physics(self) -> None:
         """Take the K physics steps of a control step, at once unless action terms act in each."""
@@ -682,43 +680,69 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             self.action_manager.act_in_physics()
             self.sim.update(step=1)
 
-    def _going_on(self, terminated: Mask, truncated: Mask, pending: Mask | None) -> EnvIndex | None:
+    def _going_on(self, result: StepResult, pending: Mask | None) -> EnvIndex | None:
         """Return the environments whose episode goes on after this step, None for all."""
-        ended = terminated | truncated
+        ended = result.done
         if pending is not None:
-            ended |= pending
-        return None if none_set(ended) else self.arrays.where(~ended)
+            ended = pending if ended is None else ended | pending
+        if ended is None or none_set(ended):
+            return None
+        return self.arrays.where(~ended)
+
+    def _end_diverged(self, result: StepResult, action_values: Floats) -> None:
+        """End the episodes of environments that diverged, with what was observed before."""
+        diverged = self._judge.diverged(result)
+        if diverged is None:
+            result.diverged = np.zeros(len(action_values), np.bool_)
+            return
+        result.diverged = diverged
+        self._judge.explain(diverged, result)
+        self._judge.exclude(diverged, result)
+        result.obs = self.observation_buffer.without(result.obs, diverged)
+        result.set_ends(result.terminated | diverged, result.truncated & ~diverged)
+        if self._dump is not None:
+            self._dump.write(self.run_dir, diverged, self.control_step - 1, action_values)
+
+    def _call_hook_after_step(
+        self, result: StepResult, action: EnvAction, kwargs: dict[str, Any]
+    ) -> None:
+        """Call `_hook_after_sim_step`."""
+        self._hook_after_sim_step(
+            result.obs,
+            action,
+            tensor_of(result.reward),
+            tensor_of(result.terminated | result.truncated),
+            result.info(),
+            terminateds=tensor_of(result.terminated.copy()),
+            truncateds=tensor_of(result.truncated.copy()),
+            **kwargs,
+        )
 
     def _act(self, action: EnvAction) -> EnvAction:
         """Apply an action; return the one that rewards receive."""
-        if len(self.action_manager):
+        if self.action_manager.terms:
             if not isinstance(action, torch.Tensor):
                 raise TypeError(f"action terms take a tensor (N, A), got {type(action).__name__}")
             self.action_manager.apply(action)
         rewarded_action = self._step_action(action)
         return action if rewarded_action is None else rewarded_action
 
-    def _autoreset(
-        self, obs: Observation, info: Info, terminated: Mask, truncated: Mask
-    ) -> Observation:
-        """Reset environments as the autoreset mode says; return the observation after it."""
+    def _autoreset(self, result: StepResult) -> None:
+        """Reset environments as the autoreset mode says."""
         mode = self.metadata["autoreset_mode"]
-        done: Mask | None = None
-        if not (none_set(terminated) and none_set(truncated)):
-            done = terminated | truncated
         to_reset: Mask | None = None
-        if mode is AutoresetMode.SAME_STEP and done is not None:
-            add_finals(info, obs, done)
-            to_reset = done
+        if mode is AutoresetMode.SAME_STEP and result.done is not None:
+            result.final_obs = result.obs
+            to_reset = result.done
         elif mode is AutoresetMode.NEXT_STEP:
             # Those that ended in the step before are reset now, the present ones in the next.
             to_reset = self.episodes.pending
-            self.episodes.pending = done
+            self.episodes.pending = result.done
         if to_reset is None or none_set(to_reset):
-            return obs
+            return
         ids = self.arrays.where(to_reset)
         self._reset_rows(ids, {})
-        return self._observe_reset(ids, {})
+        result.obs = self._observe_reset(ids, {})
 
     # -- hooks of a subclass: building ---------------------------------------------------------
 
@@ -1313,6 +1337,17 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         return self.affordance_datas.get(key, default)
 
 
+def _as_tensors(result: StepResult) -> Step:
+    """Return what `BaseEnv.step` returns."""
+    return (
+        result.obs,
+        tensor_of(result.reward),
+        tensor_of(result.terminated),
+        tensor_of(result.truncated),
+        result.info(),
+    )
+
+
 EmbodiedEnv = BaseEnv
 """EmbodiChain's name for an environment built from its config."""
 
@@ -1325,6 +1360,7 @@ OPTIONAL_HOOKS = (
     "get_reward",
     "_extend_reward",
     "check_truncated",
+    "_postprocess_action",
     "_hook_after_sim_step",
     "compute_task_state",
     "evaluate",

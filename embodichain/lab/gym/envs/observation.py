@@ -59,6 +59,7 @@ class ObservationLayout:
         arrays: Makes its arrays; None makes them on the host.
 
     Attributes:
+        batch_size: (N,) as torch has it.
         width: W, the columns of all floating point entries but images.
         paths: Paths of these entries, in the observation's order.
         columns: Path -> columns of the entry.
@@ -76,6 +77,7 @@ class ObservationLayout:
         arrays: Arrays | None = None,
     ) -> None:
         self.num_envs = num_envs
+        self.batch_size = torch.Size((num_envs,))
         self._arrays = Arrays() if arrays is None else arrays
         leaves = dict(leaves_of(first))
         self._order = list(leaves)
@@ -207,7 +209,7 @@ class Observation(TensorMapping):
     """
 
     def __init__(self, layout: ObservationLayout, rows: F32) -> None:
-        self.batch_size = torch.Size((layout.num_envs,))
+        self.batch_size = layout.batch_size
         self.layout = layout
         self.rows = rows
         self.others: dict[Path, torch.Tensor] = {}

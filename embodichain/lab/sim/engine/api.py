@@ -115,6 +115,8 @@ class Engine(Protocol):
     model."""
     model: mujoco.MjModel
     num_envs: int
+    has_gravity: bool
+    """Whether the model's gravity, which may be zero, acts."""
     listeners: list[EngineListener]
     reports_writes: bool = True
     """Whether listeners are told of every write; else of what differs between two copies."""
@@ -219,6 +221,13 @@ class Engine(Protocol):
 
     def model_field(self, field: str) -> NDArray[Any]:
         """(N, size) flattened per-environment values of a model field. Do not write."""
+
+    @property
+    def models_may_differ(self) -> bool:
+        """Whether `model_values` may have a row for each environment for fields that are written.
+
+        False until the first `write_model`; always True on a device.
+        """
 
     def model_values(self, field: str) -> NDArray[Any]:
         """(N or 1, ...) values of a model field; one row if all environments share it.

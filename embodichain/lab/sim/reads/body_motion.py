@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from embodichain.utils.math import quat_to_matrix, rotate, rotate_back
+from embodichain.lab.sim.reads.gravity import gravity_direction
+from embodichain.utils.arrays import is_host
+from embodichain.utils.math import norm, quat_to_matrix, rotate, rotate_back
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
@@ -37,22 +39,40 @@ class BodyMotion:
         self._engine = engine
         self._frame = frame
         self._version = -1
-        self._computed: dict[str, Floats] = {}
+        self._computed: dict[Hashable, Floats] = {}
         is_root = frame.kind == "link" and frame.ids == index.root_body_id
         self._qvel = index.free_qvel_adr if is_root else -1
         # Poses of floating and kinematic roots are part of the state.
         self._pose = _pose_in_state(engine, index) if is_root else None
+        # On the host an engine's field stays where it is: the view of its columns is made once.
+        self._position_field = frame.position_field
+        self._field: Floats | None = None
+        self._position: Floats = np.zeros((0, 3))
 
     def release(self) -> None:
         """Drop the engine and its arrays, which terms would keep; nothing can be read then."""
-        del self._engine, self._pose
+        del self._engine, self._pose, self._field, self._position
         self._computed.clear()
 
     def position(self) -> Floats:
         """(N, 3) m: a live view, do not store."""
         if self._pose is not None:
             return self._pose.position
-        return self._frame.positions(self._engine)
+        field = self._engine.derived(self._position_field)
+        if field is not self._field:
+            if not is_host(field):
+                return field[:, self._frame.ids]
+            self._field = field
+            self._position = field[:, self._frame.ids]
+        return self._position
+
+    def vector_to(self, other: BodyMotion) -> Floats:
+        """(N, 3) m from this origin to another one."""
+        return self._once(("vector", other), lambda: other.position() - self.position())
+
+    def distance_to(self, other: BodyMotion) -> Floats:
+        """(N,) m from this origin to another one."""
+        return self._once(("distance", other), lambda: norm(self.vector_to(other)))
 
     def orientation(self) -> Floats:
         """(N, 4) wxyz: a live view, do not store."""
@@ -62,7 +82,7 @@ class BodyMotion:
             return self._frame.orientations(self._engine)
         return self._once("quat", lambda: self._frame.orientations(self._engine))
 
-    def _once(self, name: str, compute: Callable[[], Floats]) -> Floats:
+    def _once(self, name: Hashable, compute: Callable[[], Floats]) -> Floats:
         """The stored value, or a new one if the state has changed."""
         if self._version != self._engine.version:
             self._computed.clear()
@@ -78,6 +98,13 @@ class BodyMotion:
         if self._frame.kind == "link":
             return self._once("axes", lambda: quat_to_matrix(self.orientation()))
         return self._frame.axes(self._engine)
+
+    def gravity(self) -> Floats:
+        """(N, 3) unit vector of gravity in the frame's axes; zeros where there is no gravity."""
+        return self._once("gravity", self._gravity)
+
+    def _gravity(self) -> Floats:
+        return rotate_back(self.axes(), gravity_direction(self._engine))
 
     def linear_velocity(self, frame: Frame = "world") -> Floats:
         """(N, 3) m/s of the origin.

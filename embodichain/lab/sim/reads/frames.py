@@ -42,10 +42,14 @@ class BodyFrames:
     ids: Any
     bodies: Any
 
+    @property
+    def position_field(self) -> str:
+        """MuJoCo's field of positions of this kind."""
+        return "xpos" if self.kind == "link" else f"{self.kind}_xpos"
+
     def positions(self, engine: Engine) -> Floats:
         """(N, B, 3) metres, environment's frame: do not write or store."""
-        field = "xpos" if self.kind == "link" else f"{self.kind}_xpos"
-        return engine.derived(field)[:, self.ids]
+        return engine.derived(self.position_field)[:, self.ids]
 
     def orientations(self, engine: Engine) -> Floats:
         """(N, B, 4) wxyz: do not write or store."""

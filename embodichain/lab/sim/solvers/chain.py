@@ -164,7 +164,9 @@ class Chain:
         poses = np.empty_like(moved, shape=(count + 1, 3, 4, size))
         poses[0] = transforms[0]
         for pose, move, product in zip(poses, moves, poses[1:], strict=False):
-            product[:] = matmul(pose[:, :3], move)
+            parts = pose[:, :3, None] * move
+            np.add(parts[:, 0], parts[:, 1], out=product)
+            product += parts[:, 2]
             product[:, 3] += pose[:, 3]
         return Frames(
             rotation=poses[-1, :, :3],
@@ -189,6 +191,8 @@ class Chain:
 
     def _constants(self, env_ids: EnvIndex | None) -> _Constants:
         """Return the constants of some environments, computed once where all have the same."""
+        if self._shared is not None and not self._engine.models_may_differ:
+            return self._shared
         fields = [self._engine.model_values(name) for name in self._fields]
         if all(len(values) == 1 for values in fields):
             if self._shared is None:

@@ -362,7 +362,7 @@ class ActionManager(Manager[ActionTermCfg]):
         """Whether a term measures how its action was applied."""
         return bool(self._measured)
 
-    def report(self, metrics: dict[str, torch.Tensor]) -> None:
+    def report(self, metrics: dict[str, NDArray[Any]]) -> None:
         """Add the metrics of the last action.
 
         Args:
@@ -370,7 +370,7 @@ class ActionManager(Manager[ActionTermCfg]):
         """
         for name, measure in self._measured:
             for key, values in measure().items():
-                metrics[f"{name}/{key}"] = tensor_of(values.astype(np.float32))
+                metrics[f"{name}/{key}"] = values.astype(np.float32)
 
     def home(self) -> NDArray[np.float64]:
         """(A,) the action that goes to the initial state."""

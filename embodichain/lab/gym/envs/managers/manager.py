@@ -87,6 +87,14 @@ class BuiltTerm(Generic[C]):
             return "obs" in lead
         return getattr(self.instance, "takes_obs", True)
 
+    @property
+    def takes_info(self) -> bool:
+        """Whether it takes ``info``, as a reward, termination or metric."""
+        lead = self.spec.lead
+        if lead is not None:
+            return "info" in lead
+        return getattr(self.instance, "takes_info", True)
+
 
 def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[C]:
     """Check a declared term and build it.
@@ -396,11 +404,13 @@ class Manager(Generic[C]):
     Attributes:
         revision: Number of changes of parameters and weights so far.
         takes_obs: Whether a reward, termination or metric takes the observation.
+        takes_info: Whether one takes ``info``.
     """
 
     def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
         self.env = env
         self.num_envs = env.num_envs
+        self._arrays: Arrays = env.arrays
         self.section = section
         self._kind: Kind = kind
         self.revision = 0
@@ -433,6 +443,7 @@ class Manager(Generic[C]):
     def _collect(self) -> None:
         """Collect the calls and states of the terms; repeated when a term is rebuilt."""
         self.takes_obs = any(term.takes_obs for term in self.terms.values())
+        self.takes_info = any(term.takes_info for term in self.terms.values())
         self._resets: list[tuple[str, Callable[[EnvIndex | None], None]]] = []
         self._stateful: dict[str, Any] = {}
         for name, term in self.terms.items():
@@ -474,10 +485,6 @@ class Manager(Generic[C]):
         self.revision += 1
         self._changed[name] = copy.deepcopy(self._changed.get(name, {}) | changes)
         self._collect()
-
-    @property
-    def _arrays(self) -> Arrays:
-        return self.env.arrays
 
     def __len__(self) -> int:
         return len(self.terms)

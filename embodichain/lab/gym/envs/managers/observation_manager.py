@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
 from embodichain.lab.gym.envs.managers.terms.term_columns import TermColumns
 from embodichain.lab.gym.envs.managers.terms.term_errors import FAILURES, kind_of_values
-from embodichain.lab.gym.envs.observation import Observation, new_tensor
+from embodichain.lab.gym.envs.observation import Columns, Observation, as_array, new_tensor
 from embodichain.utils.arrays import contiguous, may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -235,6 +235,21 @@ class _EntryPlace:
     is_last: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _VectorPart:
+    """Consecutive columns of a group's flat vector.
+
+    Attributes:
+        columns: Its columns in the vector.
+        source: Its columns in the rows of the observation; None if it is an entry outside of them.
+        path: The path of that entry.
+    """
+
+    columns: slice
+    source: Columns | None
+    path: tuple[str, ...] = ()
+
+
 _NONE: NDArray[np.int64] = np.zeros(0, np.int64)
 _BETWEEN_STEPS = Rows(_NONE, None)
 
@@ -277,6 +292,7 @@ class ObservationManager(Manager[ObservationCfg]):
         self._fresh: NDArray[np.bool_] = env.arrays.full(env.num_envs, True, np.bool_)
         self.stepped: EnvIndex | None = _NONE
         self._places: list[_EntryPlace] = []
+        self._vectors: dict[str, list[_VectorPart]] = {}
 
     def _bind(self) -> None:
         for entry in self._entries:
@@ -295,6 +311,30 @@ class ObservationManager(Manager[ObservationCfg]):
                 is_last=self._modified.get(entry.path, index) <= index,
             )
             self._places.append(place)
+        self._vectors = {
+            group: self._vector_parts(group)
+            for group in self._groups
+            if not self.image_terms(group)
+        }
+
+    def _vector_parts(self, group: str) -> list[_VectorPart]:
+        """Return the parts of a group's flat vector: one, if all its entries are in the rows."""
+        layout = cast("ObservationLayout", self.layout)
+        columns = layout.groups[group]
+        if columns is not None:
+            return [_VectorPart(slice(None), columns)]
+        parts: list[_VectorPart] = []
+        start = 0
+        for path in self._paths(group):
+            stop = start + layout.widths[path]
+            parts.append(_VectorPart(slice(start, stop), layout.columns.get(path), path))
+            start = stop
+        return parts
+
+    @property
+    def modifies(self) -> bool:
+        """Whether a term modifies an entry."""
+        return bool(self._modified)
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -366,7 +406,10 @@ class ObservationManager(Manager[ObservationCfg]):
             argument: Any = obs
             if entry.modifies:
                 argument = new_tensor(unfinished[entry.path])
-            value = self._value(entry, argument, rows)
+            try:
+                value = entry.value(argument, rows)
+            except FAILURES as error:
+                self.fail(entry.term.name, error)
             if not place.is_last:
                 unfinished[entry.path] = value
             elif place.columns is not None and value.shape == place.shape:
@@ -489,14 +532,16 @@ class ObservationManager(Manager[ObservationCfg]):
 
     def flat_rows(self, obs: Mapping[Any, Any], group: str = "policy") -> NDArray[np.float32]:
         """`flatten` as an array."""
+        parts = self._vectors.get(group)
+        if parts and isinstance(obs, Observation) and obs.layout is self.layout and obs.packed:
+            first = parts[0]
+            if len(parts) == 1 and first.source is not None:
+                return contiguous(obs.rows[:, first.source])
+            if not self._arrays.on_device:
+                return _joined(parts, obs)
         images = self.image_terms(group)
         if images:
             raise ValueError(no_vector(group, images))
-        layout = self.layout
-        if layout is not None and isinstance(obs, Observation) and obs.layout is layout:
-            columns = layout.groups.get(group)
-            if columns is not None and obs.packed:
-                return contiguous(obs.rows[:, columns])
         import torch  # lists of terms are made without it
 
         entries = [
@@ -545,6 +590,16 @@ def is_image(source: object, value: Any) -> bool:
     """
     has_pixels = str(value.dtype).endswith("uint8") and len(value.shape) > 3
     return has_pixels or getattr(source, "reads_images", False)
+def _joined(parts: Sequence[_VectorPart], obs: Observation) -> NDArray[np.float32]:
+    """(N, K) the parts of a flat vector, side by side."""
+    count = len(obs.rows)
+    vector = np.empty((count, parts[-1].columns.stop), np.float32)
+    for part in parts:
+        if part.source is not None:
+            vector[:, part.columns] = obs.rows[:, part.source]
+        else:
+            vector[:, part.columns] = as_array(obs.others[part.path]).reshape(count, -1)
+    return vector
 
 
 def no_vector(group: str, images: Sequence[str]) -> str:

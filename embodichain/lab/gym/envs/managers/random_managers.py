@@ -494,10 +494,13 @@ class CommandManager(RandomManager[CommandCfg]):
         self._steps[where] += 1.0
         for name, metrics in self._measured:
             for key, value in metrics().items():
-                total = self._sums.setdefault(f"{name}/{key}", np.zeros_like(self._steps))
+                total = self._sums.get(f"{name}/{key}")
+                if total is None:
+                    total = np.zeros_like(self._steps)
+                    self._sums[f"{name}/{key}"] = total
                 total[where] += value[where]
 
-    def report(self, metrics: dict[str, torch.Tensor]) -> None:
+    def report(self, metrics: dict[str, NDArray[Any]]) -> None:
         """Add the means over the episode so far, this step included.
 
         Args:
@@ -505,7 +508,7 @@ class CommandManager(RandomManager[CommandCfg]):
         """
         count = np.maximum(self._steps, 1.0)
         for name, total in self._sums.items():
-            metrics[name] = tensor_of((total / count).astype(np.float32))
+            metrics[name] = (total / count).astype(np.float32)
 
     @property
     def has_metrics(self) -> bool:

@@ -381,6 +381,14 @@ class ResolvedEntity:
         """(N, 3) m: a live view; do not write to it or store it."""
         return self._motion.position()
 
+    def vector_to(self, other: ResolvedEntity) -> Floats:
+        """(N, 3) m from this origin to another one; do not write to it."""
+        return self._motion.vector_to(other._motion)
+
+    def distance_to(self, other: ResolvedEntity) -> Floats:
+        """(N,) m from this origin to another one; do not write to it."""
+        return self._motion.distance_to(other._motion)
+
     def orientation(self) -> Floats:
         """(N, 4) wxyz: a live view; do not write to it or store it."""
         return self._motion.orientation()
@@ -388,6 +396,10 @@ class ResolvedEntity:
     def axes(self) -> Floats:
         """(N, 3, 3) rotation matrix; do not write to it."""
         return self._motion.axes()
+
+    def gravity(self) -> Floats:
+        """(N, 3) unit vector of gravity in the frame's axes; do not write to it."""
+        return self._motion.gravity()
 
     def linear_velocity(self, frame: Frame = "world") -> Floats:
         """(N, 3) m/s of the origin; do not write to it. See `BodyMotion.linear_velocity`."""

@@ -68,6 +68,10 @@ class TermRows(Mapping[str, "torch.Tensor"]):
             self._tensors[name] = tensor
         return tensor
 
+    def arrays(self) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Yield name and values (N,) of each term: do not write to them."""
+        return zip(self.names, self.rows, strict=True)
+
     def zeroed(self, rows: NDArray[np.bool_]) -> TermRows:
         """Return the values with those of some environments, (N,) bool, set to 0."""
         if isinstance(self.rows, (list, tuple)):
@@ -89,6 +93,7 @@ class TermRows(Mapping[str, "torch.Tensor"]):
 
 
 Masks = dict[str, NDArray[np.bool_]]
+_BOOL = np.dtype(np.bool_)
 
 
 class TerminationManager(Manager[TerminationCfg]):
@@ -116,13 +121,13 @@ class TerminationManager(Manager[TerminationCfg]):
         """Whether a term of kind ``success`` exists."""
         return any(kind == "success" for _, _, kind in self._calls)
 
-    def compute(self, obs: Any, action: Any, info: dict[str, Any]) -> Masks:
+    def compute(self, obs: Any, action: Any, info: dict[str, Any] | None) -> Masks:
         """Evaluate every term of this step.
 
         Args:
             obs: The step's observation.
             action: The step's action.
-            info: The entries of `evaluate`, and ``elapsed_steps``.
+            info: The entries of `evaluate`, and ``elapsed_steps``; None if no term reads them.
 
         Returns:
             (N,) bool masks by kind, ``success``, ``fail``, ``time_out``; kinds without a term are
@@ -144,7 +149,7 @@ class TerminationManager(Manager[TerminationCfg]):
                     value = self._arrays.of(value)
             except FAILURES as error:
                 self.fail(name, error)
-            if value.dtype != np.bool_:
+            if value.dtype != _BOOL:
                 self._warn_not_finite(name, value, "which counts as true")
             flags = value.astype(np.bool_)  # a copy: the term may reuse its array
             values.append(flags)
@@ -242,25 +247,33 @@ class MetricManager(Manager[MetricCfg]):
         """Whether the metric ``success`` exists."""
         return "success" in self.terms
 
-    def compute(self, obs: Any, action: Any, info: dict[str, Any]) -> None:
+    def compute(
+        self, obs: Any, action: Any, info: dict[str, Any] | None
+    ) -> dict[str, NDArray[Any]]:
         """Evaluate every term of this step.
 
         Args:
             obs: The step's observation.
             action: The step's action.
-            info: Entries name -> (N,), this step included, are added to ``metrics`` in it, and do
-                not change afterwards; entries of the environment's class remain. The metric
-                ``success``, declared or of the class, replaces ``success`` in it, (N,) bool.
+            info: What terms read, or None if none does. Entries name -> (N,), this step included,
+                are added to ``metrics`` in it, and do not change afterwards; entries of the
+                environment's class remain. The metric ``success``, declared or of the class,
+                replaces ``success`` in it, (N,) bool.
+
+        Returns:
+            The declared metrics: name -> (N,), this step included. They do not change afterwards:
+            do not write to them.
 
         Raises:
             ValueError: If a term's value has another shape than (N,); names the term.
         """
-        metrics: dict[str, torch.Tensor] = dict(info.get("metrics", {}))
-        info["metrics"] = metrics
-        if "success" in metrics and not self.has_success:
-            info["success"] = tensor_of(self._arrays.of(metrics["success"]) > 0)
+        if info is not None:
+            info["metrics"] = dict(info.get("metrics", {}))
+            if "success" in info["metrics"] and not self.has_success:
+                info["success"] = tensor_of(self._arrays.of(info["metrics"]["success"]) > 0)
+        values: dict[str, NDArray[Any]] = {}
         if not self._calls:
-            return
+            return values
         self._count = self._count + np.float32(1.0)
         for metric in self._calls:
             name = metric.name
@@ -272,15 +285,18 @@ class MetricManager(Manager[MetricCfg]):
                     value = self._arrays.of(value)
             except FAILURES as error:
                 self.fail(name, error)
-            if value.dtype != np.bool_:
+            if value.dtype != _BOOL:
                 self._warn_not_finite(name, value, "the metric keeps it")
             so_far = metric.join(self._so_far[name], value.astype(metric.dtype))
             self._so_far[name] = so_far
-            reduced = so_far / self._count if metric.is_mean else so_far.copy()
-            metrics[name] = tensor_of(reduced)
-            if name == "success":  # before the other metrics, which may read it
-                info["success"] = tensor_of(reduced > 0)
+            reduced = so_far / self._count if metric.is_mean else so_far
+            values[name] = reduced
+            if info is not None:
+                info["metrics"][name] = tensor_of(reduced.copy())
+                if name == "success":  # before the other metrics, which may read it
+                    info["success"] = tensor_of(reduced > 0)
         self._checked = True
+        return values
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Restart the episodes of these environments."""
@@ -321,6 +337,7 @@ class RewardManager(Manager[RewardCfg]):
 
     Attributes:
         weights: Name -> current weight; replaced, not changed, by `set_weight`.
+        values: Name -> (N,) float32 value of the last step, without weights.
     """
 
     def __init__(
@@ -334,6 +351,7 @@ class RewardManager(Manager[RewardCfg]):
         self._sums: F32 = env.arrays.full((len(self.terms), self.num_envs), 0.0, np.float32)
         self._sums_before = self._sums
         self._names = tuple(self.terms)
+        self.values = TermRows(())
 
     def _bind(self) -> None:
         self._checked = False
@@ -372,7 +390,9 @@ class RewardManager(Manager[RewardCfg]):
             self._renew(name)
         self._bind()
 
-    def compute(self, rewards: F32 | None, obs: Any, action: Any, info: dict[str, Any]) -> F32:
+    def compute(
+        self, rewards: F32 | None, obs: Any, action: Any, info: dict[str, Any] | None
+    ) -> F32:
         """Evaluate every term of this step.
 
         Args:
@@ -380,8 +400,9 @@ class RewardManager(Manager[RewardCfg]):
                 with ``mode: replace`` replaces the sum before it.
             obs: The step's observation.
             action: The step's action.
-            info: ``rewards`` (values without weights) and ``episode_sums`` (with weights, this step
-                included) are set in it, and do not change afterwards.
+            info: What terms read, or None if none does. ``rewards`` (values without weights) and
+                ``episode_sums`` (with weights, this step included) are set in it, and do not
+                change afterwards.
 
         Returns:
             (N,) float32.
@@ -390,8 +411,9 @@ class RewardManager(Manager[RewardCfg]):
             ValueError: If a term's value has another shape than (N,); names the term.
         """
         if not self.terms:
-            info["rewards"] = {}
-            info["episode_sums"] = {}
+            if info is not None:
+                info["rewards"] = {}
+                info["episode_sums"] = {}
             if rewards is not None:
                 return rewards
             return self._arrays.full(self.num_envs, 0.0, np.float32)
@@ -416,28 +438,26 @@ class RewardManager(Manager[RewardCfg]):
         self._sums = self._sums + weighted
         # Row by row: the rounding does not depend on the number of environments.
         total: F32 = np.add.accumulate(summands[self._first_summand :], axis=0)[-1]
-        info["rewards"] = TermRows(self._names, values)
-        info["episode_sums"] = self.episode_sums
+        self.values = TermRows(self._names, values)
+        if info is not None:
+            info["rewards"] = self.values
+            info["episode_sums"] = self.episode_sums
         if self._floor is None:
             return total
         # A sum that is not finite stays so: it is a mistake, which a floor must not hide.
         return np.where(total > -np.inf, np.maximum(total, self._floor), total)
 
-    def not_finite(
-        self, info: Mapping[str, Any], rows: NDArray[np.bool_]
-    ) -> dict[str, tuple[str, NDArray[np.bool_]]]:
-        """Return the terms whose value, or value x weight, is not finite in some environments.
+    def not_finite(self, rows: NDArray[np.bool_]) -> dict[str, tuple[str, NDArray[np.bool_]]]:
+        """Return the terms whose last value, or value x weight, is not finite in environments.
 
         Args:
-            info: That of `compute`.
             rows: (N,) the environments.
 
         Returns:
             ``rewards.NAME`` -> what its values are, and in which environments, (N,).
         """
-        values: Any = getattr(info["rewards"], "rows", ())
         causes: dict[str, tuple[str, NDArray[np.bool_]]] = {}
-        for name, row, factor in zip(self._names, values, self._factors, strict=True):
+        for name, row, factor in zip(self._names, self.values.rows, self._factors, strict=True):
             weighted = row * factor
             bad = rows & ~np.isfinite(weighted)
             if bad.any():

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.utils.arrays import contiguous, tensor_of
+from embodichain.utils.math import norm, quat_conjugate, quat_multiply, squares
 
 if TYPE_CHECKING:
     import torch
@@ -31,12 +32,6 @@ __all__ = [
 ]
 
 
-def squares(vectors: NDArray[Any]) -> Floats:
-    """Sum of the squares of the rows, (N, ..., K) -> (N, ...)."""
-    rows = contiguous(vectors, np.float64)
-    return np.vecdot(rows, rows)
-
-
 def total(values: NDArray[Any]) -> Floats:
     """Sum of the rows, (N, K) -> (N,); 0 where K is 0."""
     rows = contiguous(values, np.float64)
@@ -53,18 +48,11 @@ def mean(values: Floats) -> Floats:
     return total(values) / max(values.shape[1], 1)
 
 
-def norm(vectors: NDArray[Any]) -> Floats:
-    """Euclidean length of the rows, (N, ..., K) -> (N, ...)."""
-    return np.sqrt(squares(vectors))
-
-
 def angle_between(a: Floats, b: Floats) -> Floats:
     """(N,) rad in [0, pi] of the rotation from one orientation to another, (N, 4) wxyz each.
 
     2 atan2(|v|, |w|) of the difference, which is exact near 0, unlike an arc cosine.
     """
-    from embodichain.utils.math import quat_conjugate, quat_multiply
-
     difference = quat_multiply(quat_conjugate(a), b)
     sine, cosine = norm(difference[:, 1:]), np.abs(difference[:, 0])
     return 2.0 * np.arctan2(sine, contiguous(cosine))
@@ -78,7 +66,7 @@ def action_rows(env: TermContext, action: Any) -> Floats:
     """
     if not hasattr(action, "detach"):
         raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
-    return env.arrays.of(action.detach()).astype(np.float64)
+    return env.arrays.of(action).astype(np.float64)
 
 
 def tensor(array: NDArray[np.float64] | NDArray[np.bool_]) -> torch.Tensor:

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,8 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import (
     present_step,
     warn_not_finite,
 )
-from embodichain.lab.gym.envs.managers.value_managers import TermRows, check_shapes
+from embodichain.lab.gym.envs.managers.value_managers import check_shapes
+from embodichain.lab.gym.envs.step.step_result import StepResult, none_set
 from embodichain.utils.array_types import EnvIds, host_ids
 from embodichain.utils.arrays import all_finite, as_env_ids, is_host, tensor_of
 from embodichain.utils.system.atomic import atomic_file
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
         RewardManager,
         TerminationManager,
     )
-    from embodichain.lab.gym.envs.observation import Observation
     from embodichain.lab.gym.envs.step.episodes import Episodes
     from embodichain.lab.sim.engine.api import Engine
     from embodichain.lab.sim.types import EnvObs
@@ -49,15 +49,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "JudgingHooks",
-    "Outcome",
     "StateDump",
     "StepJudge",
     "as_mask",
     "bad_rows",
-    "none_set",
     "reset_ids",
     "task_state",
-    "zeroed",
 ]
 
 Mask = NDArray[np.bool_]
@@ -65,31 +62,9 @@ F32 = NDArray[np.float32]
 Info = dict[str, Any]
 _TAKE_OBS = ("get_reward", "_extend_reward", "check_truncated")
 _MAKE_INFO = ("compute_task_state", "evaluate", "get_info")
+_TAKE_INFO = ("get_reward", "_extend_reward", "check_truncated", "_hook_after_sim_step")
 _OBSERVE = ("get_obs", "_extend_obs", "_get_sensor_obs")
 _ID_KEYS = ("reset_ids", "env_ids", "env_idx", "reset_mask")
-
-
-@dataclass(slots=True)
-class Outcome:
-    """Why episodes end in a step: (N,) bool each; `time_out` is None without such a term."""
-
-    success: Mask
-    fail: Mask
-    time_out: Mask | None = None
-
-    def ends(self, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
-        """Return the masks (N,) of terminated and truncated environments.
-
-        Args:
-            truncated: (N,) episodes at their limit; may be changed.
-            ignore_terminations: Whether success and failure do not end episodes.
-        """
-        if self.time_out is not None:
-            truncated |= self.time_out
-        terminated = self.success | self.fail
-        if ignore_terminations:
-            terminated = np.zeros_like(terminated)
-        return terminated, truncated
 
 
 def task_state(state: Any, num_envs: int, name: str) -> dict[str, Any]:
@@ -124,16 +99,6 @@ def checked_reward(reward: Any, num_envs: int, hook: str, arrays: Arrays) -> NDA
         kind = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
         raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {kind}")
     return arrays.of(reward).astype(np.float32)
-
-
-def none_set(mask: Mask) -> bool:
-    """Whether no flag of a mask is set; for few environments, twice as fast as a reduction.
-
-    False on a device, where it is not known: what depends on the mask is then computed for all.
-    """
-    if not is_host(mask):
-        return False
-    return b"\1" not in mask.tobytes()
 
 
 def as_mask(value: Any, num_envs: int, what: str, arrays: Arrays) -> Mask:
@@ -181,32 +146,13 @@ def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
 
     On a device it is always a mask.
     """
-    if is_host(values) and all_finite(values):
-        return None
     if is_host(values):
+        if all_finite(values):
+            return None
         return ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
     largest = np.abs(values) if values.ndim == 1 else np.abs(values).max(axis=1)
     # The largest of NaN and others is NaN.
     return ~(largest < np.inf)
-
-
-def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
-    """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
-
-    Args:
-        info: Not changed, nor are its tensors.
-        rows: (N,) bool.
-    """
-    copy = dict(info)
-    mask = tensor_of(rows)
-    for key, value in info.items():
-        if isinstance(value, TermRows):
-            copy[key] = value.zeroed(rows)
-        elif isinstance(value, Mapping):
-            copy[key] = zeroed(value, rows)
-        elif isinstance(value, torch.Tensor) and value.shape[:1] == mask.shape:
-            copy[key] = value.masked_fill(mask.reshape(-1, *[1] * (value.ndim - 1)), 0)
-    return copy
 
 
 @dataclass(frozen=True)
@@ -229,6 +175,11 @@ class JudgingHooks:
     def make_info(self) -> bool:
         """Whether the class may put entries into ``info`` that terms read."""
         return not self.overridden.isdisjoint(_MAKE_INFO)
+
+    @property
+    def share_info(self) -> bool:
+        """Whether a hook makes entries of ``info``, or receives it."""
+        return self.make_info or not self.overridden.isdisjoint(_TAKE_INFO)
 
     @property
     def take_obs(self) -> bool:
@@ -256,6 +207,9 @@ class StepJudge:
         metrics: Metrics.
         rewards: Rewards.
         curriculum: Curricula.
+
+    Attributes:
+        hooks_share_info: Whether a hook makes entries of ``info``, or receives it.
     """
 
     def __init__(
@@ -286,14 +240,27 @@ class StepJudge:
         self._physics: Mask | None = None
         self._warning_counts: dict[str, int] = {}
         self._hooks_take_obs = hooks.take_obs
+        self.hooks_share_info = hooks.share_info
 
     @property
     def takes_obs(self) -> bool:
         """Whether a hook or a term takes the observation, which is then made before judging."""
-        if self._hooks_take_obs:
-            return True
-        managers = (self._terminations, self._metrics, self._rewards)
-        return any(manager.takes_obs for manager in managers)
+        return (
+            self._hooks_take_obs
+            or self._terminations.takes_obs
+            or self._metrics.takes_obs
+            or self._rewards.takes_obs
+        )
+
+    @property
+    def shares_info(self) -> bool:
+        """Whether a hook or a term reads ``info`` within the step: only then it is made there."""
+        return (
+            self.hooks_share_info
+            or self._terminations.takes_info
+            or self._metrics.takes_info
+            or self._rewards.takes_info
+        )
 
     def check_terms(self, obs: EnvObs) -> None:
         """Call every term once and check its shape, unless terms may read info of a class's hooks.
@@ -304,62 +271,100 @@ class StepJudge:
         if not self._hooks.make_info:
             check_shapes(self._env, obs)
 
-    def compute_info(self, obs: Any, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
-        """Call the class's hooks, then terminations, then metrics; return the info of the step.
+    def judge(self, obs: Any, action: Any, kwargs: dict[str, Any]) -> StepResult:
+        """Judge the step: by the class's hooks, then terminations, metrics and rewards.
 
-        ``info["success"]`` is the metric `success` of a task that has one, above 0, and else what
-        ``info["success_terminated"]`` is: a termination of kind success, or the class's success.
-        Only the latter ends episodes.
+        `success` is the metric `success` of a task that has one, above 0, and else what
+        `success_terminated` is: a termination of kind success, or the class's success. Only the
+        latter ends episodes.
 
         Args:
             obs: The observation, or None if nothing takes it (`takes_obs`).
             action: The action that rewards receive.
             kwargs: Those of `step`.
         """
-        env = self._env
+        info = self._class_info(kwargs) if self.shares_info else None
+        result = self._ends(obs, action, info)
+        result.metrics.update(self._metrics.compute(obs, action, info))
+        if self._actions.has_metrics:
+            self._actions.report(result.metrics)
+        if self._commands.has_metrics:
+            self._commands.report(result.metrics)
+        if "success" in result.metrics:
+            result.success = result.metrics["success"] > 0
+        if self._curriculum.terms:
+            result.curriculum = dict(self._curriculum.values)
+        if info is not None:
+            self._complete(info, result)
+        self._episodes.success = result.success
+        result.reward = self._reward(obs, action, info)
+        result.rewards = self._rewards.values
+        result.episode_sums = self._rewards.episode_sums
+        return result
+
+    def _class_info(self, kwargs: dict[str, Any]) -> Info:
+        """Return the entries of ``info`` that the class makes."""
         with self._episodes.counting(present=False):
             class_info = self._hooks.get_info(**kwargs)
         # EmbodiChain's is not a dict.
         info = class_info if type(class_info) is dict else dict(class_info.items())
-        success = as_mask(info.get("success"), env.num_envs, "success", env.arrays)
-        fail = as_mask(info.get("fail"), env.num_envs, "fail", env.arrays)
-        info["elapsed_steps"] = env.elapsed_steps
+        info["elapsed_steps"] = self._env.elapsed_steps
+        return info
+
+    def _ends(self, obs: Any, action: Any, info: Info | None) -> StepResult:
+        """Return the result with what ends episodes: the class's success and terminations."""
+        env = self._env
+        class_masks: dict[str, Mask] = {}
+        if info is not None:
+            for kind in ("success", "fail"):
+                class_masks[kind] = as_mask(info.get(kind), env.num_envs, kind, env.arrays)
         masks = self._terminations.compute(obs, action, info)
-        if "success" in masks:
-            success = success | masks["success"]
-        if "fail" in masks:
-            fail = fail | masks["fail"]
-        info["success"] = tensor_of(success.copy())
-        info["fail"] = tensor_of(fail)
-        info["success_terminated"] = tensor_of(success)
-        self._metrics.compute(obs, action, info)
-        if self._actions.has_metrics:
-            self._actions.report(info["metrics"])
-        if self._commands.has_metrics:
-            self._commands.report(info["metrics"])
-        if len(self._curriculum):
-            info["curriculum"] = dict(self._curriculum.values)
-        # The metric `success` may have replaced it.
-        self._episodes.success = env.arrays.of(info["success"]).copy()
-        return info, Outcome(success, fail, masks.get("time_out"))
+        success = self._either(masks.get("success"), class_masks.get("success"))
+        fail = self._either(masks.get("fail"), class_masks.get("fail"))
+        metrics: dict[str, NDArray[Any]] = {}
+        if info is not None:
+            info["success"] = tensor_of(success.copy())
+            info["fail"] = tensor_of(fail.copy())
+            info["success_terminated"] = tensor_of(success.copy())
+            class_metrics = info.get("metrics", {})
+            metrics = {name: env.arrays.of(value) for name, value in class_metrics.items()}
+        return StepResult(
+            success_terminated=success,
+            fail=fail,
+            time_out=masks.get("time_out"),
+            success=success,
+            metrics=metrics,
+            curriculum={},
+            class_info=info,
+            terminations=self._terminations.values,
+        )
 
-    def compute_reward(self, obs: Any, action: Any, info: Info) -> F32:
-        """Compute (N,) rewards: of `get_reward` and the terms, changed by `_extend_reward`.
+    def _either(self, mask: Mask | None, other: Mask | None) -> Mask:
+        """(N,) where either of two masks is set; None is a mask without a flag."""
+        if mask is None:
+            return np.zeros_like(self._episodes.success) if other is None else other
+        return mask if other is None else mask | other
 
-        Args:
-            obs: As of `compute_info`.
-            action: The action that rewards receive.
-            info: The result of `compute_info`; gains the values of the terms.
-        """
+    def _complete(self, info: Info, result: StepResult) -> None:
+        """Add what is judged beside the terms to ``info``."""
+        metrics = info["metrics"]
+        for name, values in result.metrics.items():
+            if name not in metrics:
+                metrics[name] = tensor_of(values)
+        if result.curriculum:
+            info["curriculum"] = result.curriculum
+
+    def _reward(self, obs: Any, action: Any, info: Info | None) -> F32:
+        """(N,) rewards of `get_reward`, plus those of the terms, after `_extend_reward`."""
         env = self._env
         hooks = self._hooks
         class_reward = None
-        if hooks.get_reward is not None:
+        if hooks.get_reward is not None and info is not None:
             with self._as_class_counts(info):
                 value = hooks.get_reward(obs, action, info)
             class_reward = checked_reward(value, env.num_envs, "get_reward", env.arrays)
         reward = self._rewards.compute(class_reward, obs, action, info)
-        if hooks.extend_reward is not None:
+        if hooks.extend_reward is not None and info is not None:
             with self._as_class_counts(info):
                 value = hooks.extend_reward(tensor_of(reward), obs, action, info)
             reward = checked_reward(value, env.num_envs, "_extend_reward", env.arrays)
@@ -374,14 +379,11 @@ class StepJudge:
             yield
         info["elapsed_steps"] = elapsed_steps
 
-    def find_diverged(self, obs: Observation, reward: F32) -> Mask | None:
-        """Return the environments (N,) that diverged in this step, or None.
-
-        Environments that are pending a reset are left out. The engine reports each divergence once.
-        """
+    def diverged(self, result: StepResult) -> Mask | None:
+        """(N,) environments that diverged in this step, or None; without those pending a reset."""
         self._physics = self._env.sim.engine.take_diverged()
         mask = self._physics
-        for bad in (bad_rows(obs.rows), bad_rows(reward)):
+        for bad in (bad_rows(result.obs.rows), bad_rows(result.reward)):
             if bad is not None:
                 mask = bad if mask is None else mask | bad
         if mask is None:
@@ -390,8 +392,8 @@ class StepJudge:
             mask = mask & ~self._episodes.pending
         return None if none_set(mask) else mask
 
-    def explain(self, mask: Mask, obs: Observation, reward: F32, info: Info) -> None:
-        """Log why environments (N,) of `find_diverged` are: their physics, or which terms.
+    def explain(self, mask: Mask, result: StepResult) -> None:
+        """Log why environments (N,) of `diverged` are: their physics, or which terms.
 
         A term is only named where the physics is finite. With arrays on a device nothing is logged:
         it is not known there whether an environment is in the mask.
@@ -412,22 +414,23 @@ class StepJudge:
             return
         # Name of a term -> what its values are, and in which environments.
         causes = self._commands.not_finite(rest)
-        causes |= self._observations.not_finite(obs, rest)
-        causes |= self._rewards.not_finite(info, rest)
+        causes |= self._observations.not_finite(result.obs, rest)
+        causes |= self._rewards.not_finite(rest)
         for _, rows in causes.values():
             rest = rest & ~rows
         if rest.any():
-            causes["the sum of the rewards"] = (kind_of_values(reward[rest]), rest)
+            causes["the sum of the rewards"] = (kind_of_values(result.reward[rest]), rest)
         what = "their physics is finite; they end and are reset"
         warn_not_finite(env, causes, what, self._warning_counts)
 
-    def exclude(self, mask: Mask, info: Info) -> Info:
-        """Remove environments (N,) that diverged from ``info`` and sums."""
-        info = zeroed(info, mask)
+    def exclude(self, mask: Mask, result: StepResult) -> None:
+        """Remove environments (N,) that diverged from a result, and their step from the sums."""
+        result.exclude(mask)
         self._rewards.take_back(mask)
-        info["episode_sums"] = self._rewards.episode_sums
+        result.episode_sums = self._rewards.episode_sums
+        if result.class_info is not None:
+            result.class_info["episode_sums"] = result.episode_sums
         self._episodes.success = self._episodes.success & ~mask
-        return info
 
 
 MAX_DUMPS = 10

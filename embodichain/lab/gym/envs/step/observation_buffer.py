@@ -19,7 +19,8 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import (
     warn_not_finite,
 )
 from embodichain.lab.gym.envs.observation import Observation, ObservationLayout
-from embodichain.lab.gym.envs.step.judging import bad_rows, none_set
+from embodichain.lab.gym.envs.step.judging import bad_rows
+from embodichain.lab.gym.envs.step.step_result import none_set
 from embodichain.utils.arrays import is_host, to_tensor
 from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
     from embodichain.lab.gym.envs.step.episodes import Episodes
     from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["ObservationBuffer"]
 
@@ -67,10 +69,18 @@ class ObservationBuffer:
         episodes: Episodes,
         sensors: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        self._robot = robot
         self._joints: Any = slice(None)
         if robot is not None and list(joint_ids) != list(range(robot.dof)):
             self._joints = np.asarray(joint_ids, np.int64)
+        self._robot_reads: dict[tuple[str, str], Callable[[], Floats]] = {}
+        if robot is not None:
+            self._robot_reads = {
+                ("robot", "qpos"): robot.read_qpos,
+                ("robot", "qvel"): robot.read_qvel,
+                ("robot", "qf"): robot.read_efforts,
+            }
+        # Columns of these entries, and their reads; empty if a term modifies one.
+        self._robot_columns: list[tuple[slice, Callable[[], Floats]]] = []
         self._manager = manager
         self._plain = plain
         self._episodes = episodes
@@ -95,6 +105,12 @@ class ObservationBuffer:
             arrays=manager.env.arrays,
         )
         manager.use(self.layout)
+        if not manager.modifies:
+            self._robot_columns = [
+                (self.layout.columns[path], read)
+                for path, read in self._robot_reads.items()
+                if path in self.layout.columns
+            ]
         self._built = True
         return self.layout.pack(first)
 
@@ -113,8 +129,11 @@ class ObservationBuffer:
         self._has_terms = True
         if self._built and self._plain:
             obs = Observation(self.layout, self.layout.empty())
+            for columns, read in self._robot_columns:
+                obs.rows[:, columns] = read()[:, self._joints]
+            rest = _sensor_entries(sensors) if self._robot_columns else self._entries(sensors)
             with self._episodes.counting(present=True):
-                self._manager.write(obs, self._entries(sensors))
+                self._manager.write(obs, rest)
             return obs
         entries = TensorMapping(batch_size=(self._manager.num_envs,))
         for path, value in self._entries(sensors).items():
@@ -133,17 +152,8 @@ class ObservationBuffer:
 
     def _entries(self, sensors: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
         """Return the entries that are not of terms: those of the robot and of sensors."""
-        entries: dict[tuple[str, ...], Any] = {}
-        robot = self._robot
-        joints = self._joints
-        if robot is not None:
-            entries["robot", "qpos"] = robot.read_qpos()[:, joints]
-            entries["robot", "qvel"] = robot.read_qvel()[:, joints]
-            entries["robot", "qf"] = robot.read_efforts()[:, joints]
-        if sensors:
-            for path, leaf in leaves_of(sensors):
-                entries["sensor", *path] = leaf
-        return entries
+        entries = {path: read()[:, self._joints] for path, read in self._robot_reads.items()}
+        return entries | _sensor_entries(sensors)
 
     def _nested(self, obs: Mapping[str, Any]) -> TensorMapping:
         if isinstance(obs, TensorMapping):
@@ -218,3 +228,10 @@ class ObservationBuffer:
             causes |= self._manager.not_finite(obs, rest)
             what = "not finite after a reset, zeros are observed"
             warn_not_finite(env, causes, what, self._warning_counts)
+
+
+def _sensor_entries(sensors: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
+    """Return the entries of sensors, from their readings by uid."""
+    if not sensors:
+        return {}
+    return {("sensor", *path): leaf for path, leaf in leaves_of(sensors)}

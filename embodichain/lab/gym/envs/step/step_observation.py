@@ -51,6 +51,7 @@ class StepObservation:
     Args:
         env: The environment.
         get_obs: Its hook, which observes all environments.
+        hooks_observe: Whether the class overrides it, or a hook that it calls.
         buffer: Makes observations.
         episodes: Counters of the episodes.
         observations: The observation manager.
@@ -64,6 +65,7 @@ class StepObservation:
         get_obs: Callable[..., EnvObs],
         buffer: ObservationBuffer,
         *,
+        hooks_observe: bool,
         episodes: Episodes,
         observations: ObservationManager,
         events: EventManager,
@@ -71,6 +73,7 @@ class StepObservation:
     ) -> None:
         self._env = env
         self._get_obs = get_obs
+        self._hooks_observe = hooks_observe
         self._buffer = buffer
         self._episodes = episodes
         self._observations = observations
@@ -140,6 +143,8 @@ class StepObservation:
         return again.with_rows(np.where(rows[:, None], again.rows, seen.rows))
 
     def _observe_step(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
+        if not self._hooks_observe:
+            return self._observe(kwargs, stepped)
         # Hooks that observe do not count the present step, as in EmbodiChain; terms do.
         with self._episodes.counting(present=False):
             return self._observe(kwargs, stepped)

@@ -60,6 +60,7 @@ _INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
 _HIDDEN_STATE = int(mujoco.mjtEnableBit.mjENBL_SLEEP) | int(mujoco.mjtEnableBit.mjENBL_IPC)
 _NO_CONTACT = np.int32(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 _NO_CONSTRAINT = np.int32(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+_NO_GRAVITY = int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
 _NO_SENSOR = np.int32(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 # Warnings that mean the state is no longer physics.
 _DIVERGED = [
@@ -117,6 +118,7 @@ class HostEngine(Uncopied, Engine):
         has_hidden_state = bool(model.opt.enableflags & _HIDDEN_STATE) or model.nplugin > 0
         self.model = model
         self.num_envs = num_envs
+        self.has_gravity = not model.opt.disableflags & _NO_GRAVITY
         self.version = 0
         self.num_threads = min(threads, num_envs)
         self.persistent = has_hidden_state if persistent is None else persistent
@@ -259,6 +261,10 @@ class HostEngine(Uncopied, Engine):
         if fields.stale and field in DERIVED_FIELDS:
             self._set_const_now()
         return fields.view(field)
+
+    @property
+    def models_may_differ(self) -> bool:
+        return self._fields.any
 
     def model_values(self, field: str) -> NDArray[Any]:
         fields = self._fields

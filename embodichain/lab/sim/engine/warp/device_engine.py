@@ -433,6 +433,10 @@ class DeviceEngine(WarpEngine):
         self._constants_before(field)
         return self.fields.view(field)
 
+    @property
+    def models_may_differ(self) -> bool:
+        return True
+
     def model_values(self, field: str) -> Any:
         self._constants_before(field)
         return self.fields.values(field)

@@ -29,6 +29,7 @@ from embodichain.lab.gym.envs.managers.terms.per_name import (
 )
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._tools import arm_solver, usual_speeds
+from embodichain.utils.arrays import columns_of
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -182,6 +183,7 @@ class JointTerm(ActionTerm):
         self._asset = asset
         self._ids: NDArray[np.int64] = np.asarray(entity.joint_ids, np.int64)
         self._joints = None if entity.all_joints else self._ids
+        self._joint_columns = columns_of(self._ids)
         self._named_by = entity.joints_by
         self._period = env.step_dt
         self._arrays = env.arrays
@@ -475,7 +477,7 @@ class JointAction(JointTerm):
 
     def _write_absolute(self, value: Floats) -> None:
         """Write targets for what encoders read; the joints go there less their `encoder_bias`."""
-        self._write_targets(value - self._asset.drives.encoder_bias[:, self._ids])
+        self._write_targets(value - self._asset.drives.encoder_bias[:, self._joint_columns])
 
     def _write_relative(self, value: Floats) -> None:
         """Write targets at a distance from measured positions or previous targets."""

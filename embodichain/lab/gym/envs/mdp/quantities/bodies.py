@@ -16,10 +16,9 @@ from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
 from embodichain.lab.gym.envs.mdp.shapes import Rate, gaussian_kernel
 from embodichain.lab.sim.reads.body_motion import Frame
-from embodichain.lab.sim.reads.gravity import gravity_direction
 from embodichain.utils.arrays import contiguous, rows_at, zeros
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import quat_to_matrix, rotate_back
+from embodichain.utils.math import quat_to_matrix
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -233,8 +232,7 @@ def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> Floats:
     Example:
         ``{func: projected_gravity, params: {of: {uid: go}}}``
     """
-    gravity = rotate_back(of.axes(), gravity_direction(env.sim.engine))
-    return _pick_axes(gravity, axes)
+    return _pick_axes(of.gravity(), axes)
 
 
 @quantity()

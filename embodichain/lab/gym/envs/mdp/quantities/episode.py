@@ -238,11 +238,12 @@ class Phase(_Clock):
     def __call__(self) -> Floats:
         """(N, 2 K)."""
         cycles = self.seconds() / self._period
-        columns = []
-        for offset in self._offsets:
+        columns = np.empty_like(cycles, shape=(len(cycles), 2 * len(self._offsets)))
+        for i, offset in enumerate(self._offsets):
             angle = 2.0 * np.pi * (cycles + offset)
-            columns += [np.sin(angle), np.cos(angle)]
-        return np.stack(columns, axis=1)
+            columns[:, 2 * i] = np.sin(angle)
+            columns[:, 2 * i + 1] = np.cos(angle)
+        return columns
 
 
 @quantity("observation", name="last_action")

@@ -1,4 +1,4 @@
-"""`feet_gait`: how well the feet of a legged robot keep to a gait with a given period.
+"""`FeetGait`: how well the feet of a legged robot keep to a gait with a given period.
 
 For flat ground at height 0.
 """
@@ -22,28 +22,16 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.sensors import ContactSensor
     from embodichain.utils.array_types import Floats
 
-__all__ = ["feet_gait"]
+__all__ = ["FeetGait"]
 
 _SWING_EDGE = 1e-3
 """Sine above which a foot swings: the sine of half a period is rounded to either sign."""
 
 
-@quantity("reward", "metric")
-def feet_gait(
-    env: TermContext,
-    sensor: ContactOf,
-    period_s: Positive,
-    offsets: PerJoint,
-    height: Positive = 0.06,
-    width: Positive = 0.035,
-    rest_height: NonNegative = 0.02,
-    command_name: VelocityCommand | None = None,
-    min_command: NonNegative = 0.1,
-    force_threshold: NonNegative = 1.0,
-) -> Floats:
+@quantity("reward", "metric", name="feet_gait")
+class FeetGait:
     """(N,) mean over feet, 0 to 1, of how well each keeps to its phase of a gait.
 
     With s = sin(2 pi (t / period + offset)), t the episode's time as in `phase`: while s > 0 a foot
@@ -68,31 +56,59 @@ def feet_gait(
         ``{func: feet_gait, weight: 0.5, params: {sensor: contacts, period_s: 0.5,
         offsets: {FL_foot|RR_foot: 0, FR_foot|RL_foot: 0.5}, command_name: velocity}}``
     """
-    if isinstance(offsets, list) and len(offsets) != len(sensor.names):
-        feet = ", ".join(sensor.names)
-        message = f"{len(offsets)} offsets for {len(sensor.names)} feet: {feet}"
-        raise ConfigError([Problem("offsets", message)])
-    phases = per_joint(offsets, sensor.names, "offsets", "foot", sensor.plan.named_by)
-    cycles = env.arrays.of(env.elapsed_steps) * (env.step_dt / period_s)
-    swing = np.stack([np.sin(2.0 * np.pi * (cycles + offset)) for offset in phases], axis=1)
-    if command_name is not None:
-        is_walking = norm(command_name()) > min_command
-        swing = np.where(is_walking[:, None], swing, 0.0)
-    error = (_foot_heights(env, sensor) - rest_height - height * swing) / width
-    in_swing = np.exp(-error * error)
-    is_touched = squares(sensor.read_force()) > force_threshold * force_threshold
-    in_stance = np.where(is_touched, 1.0, 0.0)
-    return mean(np.where(swing > _SWING_EDGE, in_swing, in_stance))
 
+    def __init__(
+        self,
+        env: TermContext,
+        sensor: ContactOf,
+        period_s: Positive,
+        offsets: PerJoint,
+        height: Positive = 0.06,
+        width: Positive = 0.035,
+        rest_height: NonNegative = 0.02,
+        command_name: VelocityCommand | None = None,
+        min_command: NonNegative = 0.1,
+        force_threshold: NonNegative = 1.0,
+    ) -> None:
+        if isinstance(offsets, list) and len(offsets) != len(sensor.names):
+            feet = ", ".join(sensor.names)
+            message = f"{len(offsets)} offsets for {len(sensor.names)} feet: {feet}"
+            raise ConfigError([Problem("offsets", message)])
+        self._env = env
+        self._sensor = sensor
+        self._phases = per_joint(offsets, sensor.names, "offsets", "foot", sensor.plan.named_by)
+        self._cycles_per_step = env.step_dt / period_s
+        self._height = height
+        self._width = width
+        self._rest_height = rest_height
+        self._command = command_name
+        self._min_command = min_command
+        self._least_squared_force = force_threshold * force_threshold
+        self._has_terrain = env.sim.scene.terrain is not None
 
-def _foot_heights(env: TermContext, sensor: ContactSensor) -> Floats:
-    """(N, n) m: heights of the origins of a sensor's links above the ground or the terrain."""
-    origins = sensor.frames.positions(env.sim.engine)
-    heights = origins[..., 2]
-    if env.sim.scene.terrain is None:
-        return heights
-    # Few scenes have a terrain.
-    from embodichain.lab.sim.reads.height_field import GroundHeights
+    def __call__(self) -> Floats:
+        """(N,)."""
+        env = self._env
+        cycles = env.arrays.of(env.elapsed_steps) * self._cycles_per_step
+        swing = np.sin(2.0 * np.pi * (cycles[:, None] + self._phases))
+        if self._command is not None:
+            is_walking = norm(self._command()) > self._min_command
+            swing = np.where(is_walking[:, None], swing, 0.0)
+        error = (self._foot_heights() - self._rest_height - self._height * swing) / self._width
+        in_swing = np.exp(-error * error)
+        is_touched = squares(self._sensor.read_force()) > self._least_squared_force
+        in_stance = np.where(is_touched, 1.0, 0.0)
+        return mean(np.where(swing > _SWING_EDGE, in_swing, in_stance))
 
-    ground, _ = GroundHeights.of(env.sim.engine).read(origins[..., 0], origins[..., 1])
-    return heights - ground
+    def _foot_heights(self) -> Floats:
+        """(N, n) m: heights of the origins of the links above the ground or the terrain."""
+        engine = self._env.sim.engine
+        origins = self._sensor.frames.positions(engine)
+        heights = origins[..., 2]
+        if not self._has_terrain:
+            return heights
+        # Few scenes have a terrain.
+        from embodichain.lab.sim.reads.height_field import GroundHeights
+
+        ground, _ = GroundHeights.of(engine).read(origins[..., 0], origins[..., 1])
+        return heights - ground

@@ -34,7 +34,7 @@ def gripper_opening(env: TermContext, from_: Body, to: Body, closed: float = 0.0
         ``{func: gripper_opening, params: {from: {uid: panda, link_names: [panda_leftfinger]},
         to: {uid: panda, link_names: [panda_rightfinger]}}}``
     """
-    return norm(to.position() - from_.position()) - closed
+    return from_.distance_to(to) - closed
 
 
 @quantity()

@@ -53,6 +53,7 @@ class _Joined(Term):
 
     Attributes:
         takes_obs: Whether an inner term takes the observation.
+        takes_info: Whether an inner term takes ``info``.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class _Joined(Term):
     ) -> None:
         self._inner: Manager[ValueCfg] = Manager(env, "terms", "metric", terms)
         self.takes_obs = self._inner.takes_obs
+        self.takes_info = self._inner.takes_info
         self._calls = [term.call for term in self._inner.terms.values()]
         self._join_two = join
         self._dtype = dtype

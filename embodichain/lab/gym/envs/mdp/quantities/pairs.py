@@ -39,10 +39,9 @@ def distance(env: TermContext, from_: Body, to: Body, use_xy_only: bool = False)
     Example:
         ``{func: distance, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid: goal}}}``
     """
-    delta = to.position() - from_.position()
     if use_xy_only:
-        delta = delta[:, :2]
-    return norm(delta)
+        return norm(from_.vector_to(to)[:, :2])
+    return from_.distance_to(to)
 
 
 @quantity()
@@ -95,7 +94,7 @@ def relative_position(
         ``{func: relative_position, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid:
         goal}}}``
     """
-    delta = to.position() - from_.position()
+    delta = from_.vector_to(to)
     return rotate_back(from_.axes(), delta) if in_source_frame else delta
 
 
@@ -130,7 +129,7 @@ def relative_pose(
         ``{func: relative_pose, params: {from: {uid: cube}, to: {uid: goal}, representation:
         rot6d}}``
     """
-    position = rotate_back(from_.axes(), to.position() - from_.position())
+    position = rotate_back(from_.axes(), from_.vector_to(to))
     quat = quat_multiply(quat_conjugate(from_.orientation()), to.orientation())
     if representation == "matrix":
         return pose_matrix(position, quat)
