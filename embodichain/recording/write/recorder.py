@@ -28,7 +28,7 @@ from embodichain.recording.write.episode_gate import EpisodeGate
 from embodichain.recording.write.log_views import LogViews
 from embodichain.recording.write.log_writer import LogWriter
 from embodichain.recording.write.step_buffer import StepBuffer
-from embodichain.recording.write.writing import Writing
+from embodichain.recording.write.writing import Writing, delayed_signals
 from embodichain.utils.array_types import EnvIds, EnvIndex, host_ids
 
 if TYPE_CHECKING:
@@ -254,8 +254,11 @@ class McapRecorder(StepObserver):
         """Update the views after a reset; start or pause recording (`record.every`)."""
         was_open = self._gate.open
         self._views.on_reset(env_ids, recorded=was_open)
-        deferred = self._gate.on_reset(env_ids)
-        self._pause_or_resume(env, was_open, deferred)
+        if self._options.every == 1:  # the gate is never closed
+            return
+        with delayed_signals():
+            deferred = self._gate.on_reset(env_ids)
+            self._pause_or_resume(env, was_open, deferred)
 
     def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
         """Record the end of a control step.
@@ -264,27 +267,33 @@ class McapRecorder(StepObserver):
             LogWriteError: If the log could not be written; recording has stopped.
         """
         self._writing.check()
-        number = self._buffer.number
         ends = Ends.of(step, env.termination_manager.values, judged=env.judges_success)
-        was_open = self._gate.open
-        if was_open:
-            self._views.scenes.on_step(number, step, ended=ends is not None)
-            self._buffer.finish_step(self._encoder.encode_step(step), ends)
+        if self._options.every == 1:
+            self._record_step(step, ends)
+            self._gate.in_step = False
         else:
-            with self._writing.writes():
-                self._skip_step(number, step, ends)
-        deferred = self._gate.switch()
-        self._pause_or_resume(env, was_open, deferred)
+            with delayed_signals():
+                self._record_or_skip_step(env, step, ends)
         if self._gate.open:
             self._write_when_due()
 
-    def _skip_step(self, number: int, step: StepRecord, ends: Ends | None) -> None:
-        """Count a step that is not recorded, and write only the ends of its episodes."""
-        if not self._buffer.is_empty:  # an interrupt came while recording paused
-            self._write_steps()
-            self._write_unfinished_step()
-        self._log.add_rewards(number, step.reward, step.episode_ids, ends)
-        self._buffer.skip_step()
+    def _record_step(self, step: StepRecord, ends: Ends | None) -> None:
+        number = self._buffer.number
+        self._views.scenes.on_step(number, step, ended=ends is not None)
+        self._buffer.finish_step(self._encoder.encode_step(step), ends)
+
+    def _record_or_skip_step(self, env: ObservedEnv, step: StepRecord, ends: Ends | None) -> None:
+        """With `record.every`: record a step, or only the ends of its episodes."""
+        was_open = self._gate.open
+        if was_open:
+            self._record_step(step, ends)
+        else:
+            with self._writing.writes():
+                number = self._buffer.number
+                self._log.add_rewards(number, step.reward, step.episode_ids, ends)
+                self._buffer.skip_step()
+        deferred = self._gate.switch()
+        self._pause_or_resume(env, was_open, deferred)
 
     def _pause_or_resume(
         self, env: ObservedEnv, was_open: bool, deferred: list[EventRecord] | None

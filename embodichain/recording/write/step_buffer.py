@@ -54,11 +54,6 @@ class StepBuffer:
         """Number of the step that has begun: that of finished steps since the recording began."""
         return self._steps[-1].number
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing waits to be written."""
-        return len(self._steps) == 1 and not self._steps[0].calls
-
     def add(self, call: Recorded) -> None:
         """Add a call to the step that has begun."""
         self._steps[-1].calls.append(call)
