@@ -133,8 +133,8 @@ class CallEncoder:
     def encode_event(self, event: EventRecord) -> Recorded:
         """Encode that a term of the event manager fired, and the values that it drew."""
         ids = event.env_ids
-        draws = [np.array(values, np.float64, order="C") for values in event.drawn.values()]
-        shapes = tuple(values.shape for values in draws)
+        draws = [_float64_copy(values) for values in event.drawn.values()]
+        shapes = tuple([values.shape for values in draws])
         num_ids = None if ids is None else len(ids)
         key = (event.term, event.mode, num_ids, *event.drawn, *shapes)
         kind = self._event_kinds.get(key)
@@ -172,6 +172,12 @@ class CallEncoder:
             step.truncated.tobytes(),
             step.episode_ids.tobytes(),
         )
+
+
+def _float64_copy(values: Any) -> NDArray[np.float64]:
+    if type(values) is np.ndarray and values.dtype == np.float64:
+        return values.copy()  # a third of the time of the general case
+    return np.array(values, np.float64, order="C")
 
 
 def _id_arrays(name: str, ids: EnvIds | None) -> list[ArrayKind]:

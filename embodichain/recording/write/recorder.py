@@ -167,8 +167,9 @@ class McapRecorder(StepObserver):
         self._engine = engine
         self._path = Path(path)
         self._options = options
-        self._physics_steps_per_control = header.substeps
+        self._records_calls = options.state != "none"
         self._physics_steps_per_call = header.call_steps or header.substeps
+        self._has_several_calls = self._physics_steps_per_call < header.substeps
         self._buffer = StepBuffer(0 if place is None else place.step)
         clock = _LogClock(header.start_ns, header.period_ns, self._buffer)
         self._gate = EpisodeGate(options.every, lead=next(iter(options.view_envs), 0))
@@ -214,7 +215,7 @@ class McapRecorder(StepObserver):
 
     def _records(self, env_ids: EnvIndex | None) -> bool:
         """Whether calls for these environments are recorded."""
-        if not self._gate.open or self._options.state == "none":
+        if not (self._records_calls and self._gate.open):
             return False
         return env_ids is None or len(host_ids(env_ids)) > 0
 
@@ -230,15 +231,12 @@ class McapRecorder(StepObserver):
         """Before physics of all environments: sample their rows once in a control step."""
         # An action term may act between physics steps: then a control step has several calls.
         # Physics that a user steps outside of control steps has other numbers of steps.
-        is_call_of_step = event.nstep == self._physics_steps_per_call
-        is_later_call = (
-            is_call_of_step
-            and self._physics_steps_per_call < self._physics_steps_per_control
-            and self._gate.in_step
-        )
-        if is_call_of_step:
-            self._gate.on_physics()
-        if self._gate.open and not is_later_call:
+        gate = self._gate
+        is_later_call = False
+        if event.nstep == self._physics_steps_per_call:
+            is_later_call = self._has_several_calls and gate.in_step
+            gate.on_physics()
+        if gate.open and not is_later_call:
             self._views.on_rows(self._buffer.number, event.rows)
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
@@ -267,7 +265,10 @@ class McapRecorder(StepObserver):
             LogWriteError: If the log could not be written; recording has stopped.
         """
         self._writing.check()
-        ends = Ends.of(step, env.termination_manager.values, judged=env.judges_success)
+        ends = None
+        # Most steps end no episode. Searching the bytes is 10 times faster than `any`.
+        if 1 in step.terminated.tobytes() or 1 in step.truncated.tobytes():
+            ends = Ends.of(step, env.termination_manager.values, judged=env.judges_success)
         if self._options.every == 1:
             self._record_step(step, ends)
             self._gate.in_step = False
