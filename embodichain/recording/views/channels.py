@@ -215,7 +215,7 @@ class Scalars:
             group: Mapping[str, Any] = info.get(key, {})
             if len(group) != len(names):
                 raise KeyError(names)
-            if isinstance(group, TermRows) and list(group) == names:
+            if isinstance(group, TermRows) and list(group.names) == names:
                 blocks.append(group.rows)
             else:
                 blocks += [_array(group[name]) for name in names]

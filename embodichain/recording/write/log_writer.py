@@ -28,6 +28,7 @@ from embodichain.recording.format.messages.schema import START_TOPIC, STEPS_TOPI
 from embodichain.recording.format.parts import LogPlace, Manifest, part_name
 from embodichain.recording.format.seals import sealed
 from embodichain.recording.write.log_file import LogFile
+from embodichain.recording.write.step_buffer import RecordedStep
 
 __all__ = ["LAYOUT_FILE", "LogWriter", "Queue"]
 
@@ -114,7 +115,6 @@ class LogWriter:
         self._header = header
         self._attachments = attachments
         self._sums = EpisodeSums(header.num_envs)
-        self._ends: dict[int, Ends] = {}
         self._manifest = Manifest(
             self.file.folder, path.name, header.log_id, header.period_ns * 1e-9
         )
@@ -158,48 +158,65 @@ class LogWriter:
         data = pack_steps(step, [[call]])
         return self.file.write(START_TOPIC, self._time_of(step), data)
 
-    def end_episodes(self, step: int, ends: Ends) -> None:
-        """Queue the ends of episodes; they are written with their control step."""
-        self._ends[step] = ends
-
     def count(self, step: int, env_ids: Sequence[int], episodes: Sequence[int]) -> None:
         """After a control step: list episodes that count; their ends were written before."""
         self.file.write(COUNTED_TOPIC, self._time_of(step), encode_counted(env_ids, episodes))
 
-    def skip(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
-        """After a control step that is not recorded: write only the ends of its episodes."""
-        self._add_rewards(step, reward, episode_ids)
+    def add_rewards(
+        self,
+        step: int,
+        reward: NDArray[Any],
+        episode_ids: NDArray[np.int64],
+        ends: Ends | None,
+    ) -> None:
+        """Add a control step, recorded or not, to its episodes, and write those that end in it.
 
-    def _add_rewards(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+        Args:
+            step: The control step.
+            reward: (N,) rewards.
+            episode_ids: (N,) episodes.
+            ends: The episodes that end in it.
+        """
         self._sums.add(reward, episode_ids)
-        ends = self._ends.pop(step, None)
         if ends is not None:
             data = encode_ends(step, ends, self._sums, episode_ids)
             self.file.write(EPISODE_TOPIC, self._time_of(step), data)
 
-    def write(self, first: int, steps: Sequence[Sequence[Recorded]]) -> int:
+    def write(self, steps: Sequence[RecordedStep]) -> int:
         """Write control steps, the ends of their episodes, and the viewers' messages.
 
         Args:
-            first: Number of the first step.
-            steps: The calls of each step; without a ``step``, those after the last step.
+            steps: Consecutive finished steps.
 
         Returns:
             Size of their message.
         """
         size = 0
-        # Only the calls after the last step, which are written alone, do not end with a ``step``.
-        finished = bool(steps) and _ends_with_step(steps[-1])
         if steps and self._header.state != "none":
-            last_step = first + len(steps) - 1 if finished else None
-            data = pack_steps(first, steps)
-            size = self.file.write(STEPS_TOPIC, self._time_of(first), data, last_step)
-        if finished:
-            for number, calls in enumerate(steps, first):
-                _, (_, reward, _, _, episode_ids) = calls[-1]
-                self._add_rewards(number, reward, episode_ids)
+            first = steps[0].number
+            data = pack_steps(first, [step.calls for step in steps])
+            size = self.file.write(STEPS_TOPIC, self._time_of(first), data, steps[-1].number)
+        for step in steps:
+            _, (_, reward, _, _, episode_ids) = step.calls[-1]
+            self.add_rewards(
+                step.number,
+                np.frombuffer(reward, np.float32),
+                np.frombuffer(episode_ids, np.int64),
+                step.ends,
+            )
         self.views.write(self.file)
         return size
+
+    def write_unfinished(self, number: int, calls: Sequence[Recorded]) -> None:
+        """Write the calls after the last control step, and the viewers' messages.
+
+        Args:
+            number: Number of the step that they would have begun.
+            calls: The calls.
+        """
+        if self._header.state != "none":
+            self.file.write(STEPS_TOPIC, self._time_of(number), pack_steps(number, [calls]))
+        self.views.write(self.file)
 
     def flush(self) -> None:
         """Write everything to the file, so that it can be read.
@@ -258,11 +275,3 @@ class LogWriter:
             self._manifest.closed(steps, size)
             self._manifest.write(complete=True)
         self.file.close()
-
-
-def _ends_with_step(calls: Sequence[Recorded]) -> bool:
-    """Whether these are the calls of a finished control step."""
-    if not calls:
-        return False
-    kind, _ = calls[-1]
-    return kind.kind == "step"

@@ -1,12 +1,14 @@
-"""`StepBuffer`: recorded calls that are not in the file yet."""
+"""`StepBuffer`: recorded control steps that are not in the file yet."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field
 
 from embodichain.recording.format.messages.block import Recorded
+from embodichain.recording.format.messages.episodes import Ends
 
-__all__ = ["StepBuffer"]
+__all__ = ["RecordedStep", "StepBuffer"]
 
 MOST_STEPS = 256
 """Number of steps that are written together at most."""
@@ -16,57 +18,77 @@ MOST_SECONDS = 0.25
 """Age at which a step is written."""
 
 
-class StepBuffer:
-    """The calls since the last control step, and the finished steps that are not written yet.
+@dataclass(slots=True)
+class RecordedStep:
+    """The calls of a control step.
 
     Attributes:
-        calls: Calls since the last control step.
-        steps: The calls of each finished step.
-        first_step: Number of the first of these.
+        number: Number of the step.
+        calls: Its calls; of a finished step, ``step`` is the last one.
+        ends: The episodes that end in it; None if none does.
     """
 
-    def __init__(self) -> None:
-        self.calls: list[Recorded] = []
-        self.steps: list[list[Recorded]] = []
-        self.first_step = 0
-        self._begun = 0.0  # when the first step was added, on the monotonic clock
+    number: int
+    calls: list[Recorded] = field(default_factory=list)
+    ends: Ends | None = None
+
+
+class StepBuffer:
+    """The finished steps that are not written yet, and after them the one that has begun.
+
+    An interrupt may come between any two statements of the stepping thread, and the timer may take
+    the finished steps meanwhile. So all of them are one list, the step that has begun is always its
+    last item, and each change of it is a single operation on the list.
+
+    Args:
+        number: Number of the first step.
+    """
+
+    def __init__(self, number: int) -> None:
+        self._steps = [RecordedStep(number)]
+        self._begun = 0.0  # when the first step was finished, on the monotonic clock
         self._capacity = 1  # number of steps that are written together
 
     @property
-    def end_step(self) -> int:
-        """Number of the step after the last finished one."""
-        return self.first_step + len(self.steps)
+    def number(self) -> int:
+        """Number of the step that has begun: that of finished steps since the recording began."""
+        return self._steps[-1].number
 
-    def finish_step(self, number: int) -> None:
-        """Make the calls since the last step a finished one."""
-        if not self.steps:
-            size = sum(array.nbytes for _, arrays in self.calls for array in arrays)
+    def add(self, call: Recorded) -> None:
+        """Add a call to the step that has begun."""
+        self._steps[-1].calls.append(call)
+
+    def finish_step(self, call: Recorded, ends: Ends | None) -> None:
+        """Finish the step that has begun by its ``step`` call; the next one begins."""
+        open_step = self._steps[-1]
+        number = open_step.number
+        finished = RecordedStep(number, [*open_step.calls, call], ends)
+        if len(self._steps) == 1:
+            size = sum(memoryview(array).nbytes for _, arrays in finished.calls for array in arrays)
             self._capacity = min(MOST_STEPS, 1 + MOST_BYTES // size)
-            self.first_step = number
             self._begun = time.monotonic()
-        # A single statement adds the step, so an interrupt neither loses nor repeats it.
-        self.steps.append(self.calls)
-        self.calls = []
+        self._steps[-1:] = [finished, RecordedStep(number + 1)]
+
+    def skip_step(self) -> None:
+        """Count a step that is not recorded."""
+        self._steps[-1].number += 1
 
     def is_due(self, now: float) -> bool:
         """Whether the finished steps are many, or old."""
-        if not self.steps:
+        num_finished = len(self._steps) - 1
+        if not num_finished:
             return False
-        return len(self.steps) >= self._capacity or now - self._begun > MOST_SECONDS
+        return num_finished >= self._capacity or now - self._begun > MOST_SECONDS
 
-    def take_steps(self) -> list[list[Recorded]]:
-        """Return the finished steps, which begin with `first_step`, and forget them."""
-        steps = self.steps
-        self.steps = []
+    def take_steps(self) -> list[RecordedStep]:
+        """Return the finished steps, and forget them."""
+        steps = self._steps[:-1]
+        del self._steps[: len(steps)]
         return steps
 
     def take_calls(self) -> list[Recorded]:
-        """Return the calls since the last control step, and forget them."""
-        calls = self.calls
-        self.calls = []
+        """Return the calls of the step that has begun, and forget them."""
+        open_step = self._steps[-1]
+        calls = open_step.calls
+        open_step.calls = []
         return calls
-
-    def drop_repeated_calls(self) -> None:
-        """After an interrupt: drop calls that were already added as a step."""
-        if self.steps and self.calls is self.steps[-1]:
-            self.calls = []

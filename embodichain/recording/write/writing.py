@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
-__all__ = ["LogWriteError", "Writing"]
+__all__ = ["LogWriteError", "Writing", "delayed_signals"]
 
 TICK_SECONDS = 0.25
 """Interval of the timer, which also runs while the simulation does not step."""
@@ -62,7 +62,7 @@ class Writing:
         Raises:
             LogWriteError: If the log could not be written, now or before.
         """
-        with _delayed_signals(), self.lock:
+        with delayed_signals(), self.lock:
             self.check()
             try:
                 yield
@@ -130,7 +130,7 @@ class Writing:
 
 
 @contextmanager
-def _delayed_signals() -> Iterator[None]:
+def delayed_signals() -> Iterator[None]:
     """Delay handlers of SIGINT and SIGTERM: an exception from one could leave half a chunk.
 
     Python runs handlers in the main thread, whichever thread receives the signal, so masking

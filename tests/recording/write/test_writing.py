@@ -14,6 +14,7 @@ import pytest
 
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.recording import McapRecorder, inspect, verify
+from embodichain.recording.format.options import RecordOptions
 from embodichain.recording.write import calls, log_file, recorder, step_buffer, writing
 from embodichain.recording.write.writing import LogWriteError
 from embodichain.utils.errors import ConfigError
@@ -336,6 +337,65 @@ def test_ctrl_c_between_two_statements_loses_no_step_and_repeats_none(tmp_path):
         assert report.difference is None and report.ok == (report.steps > 0), (line, str(report))
         assert report.steps in (made - 1, made)
         line += 31
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_ctrl_c_where_a_step_is_finished_leaves_the_number_of_steps_right(
+    tmp_path, every, monkeypatch
+):
+    """An interrupt at each line that finishes a step; the log ends there, or goes on."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(step_buffer, "MOST_SECONDS", 1e6)
+    line = 0
+    try:
+        while _interrupted_at(tmp_path / f"{line}.mcap", every, line):
+            line += 1
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert line > 20
+
+
+def _interrupted_at(path, every, line):
+    """Record, with an interrupt at a line of finishing the fourth step; False if it has fewer."""
+    env = SmallEnv(length=2)
+    log = McapRecorder(path, env, options=RecordOptions(every=every))
+    env.add_observer(log)
+    env.reset()
+    steps(env, 3)
+    passed = 0
+
+    def trace(frame, event, _):
+        nonlocal passed
+        name = frame.f_code.co_filename
+        if event == "line" and name.endswith(("recorder.py", "step_buffer.py", "writing.py")):
+            passed += 1
+            if passed == line + 1:
+                signal.raise_signal(signal.SIGINT)
+        return trace
+
+    def trace_calls(frame, event, _):
+        return trace if passed or frame.f_code.co_name == "on_step" else None
+
+    sys.settrace(trace_calls)
+    try:
+        env.step()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        sys.settrace(None)
+    with log._writing.lock:  # what the timer does: the step leaves the buffer
+        log._write_steps()
+    if line % 2:
+        steps(env, 2)
+    log.close()
+    summary = inspect(path)
+    assert summary.complete and not summary.warnings, (line, summary.warnings)
+    report = verify(path)
+    assert report.ok, (line, str(report))
+    if every == 1:
+        found = [run.steps for run in runs(path)]
+        assert sum(found) == log.stats.steps == report.steps == summary.steps, line
+    return passed > line
 
 
 def test_what_no_step_follows_is_written_within_a_while(tmp_path):

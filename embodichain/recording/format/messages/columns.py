@@ -72,6 +72,9 @@ class Moved:
 
     def take(self, rows: F64) -> F64:
         """Copy the columns of (n, nstate) rows: (n, width)."""
+        if len(self.spans) == 1:
+            row_columns, _ = self.spans[0]
+            return rows[:, row_columns].copy()
         out = np.empty((len(rows), self.width))
         for row_columns, result_columns in self.spans:
             out[:, result_columns] = rows[:, row_columns]

@@ -75,10 +75,9 @@ class Ends:
             terms: Termination term to its (N,) values in this step.
             judged: Whether the task defines success.
         """
-        # Searching the bytes is 10 times faster than `any`, and this runs in every step.
-        if 1 not in step.terminated.tobytes() and 1 not in step.truncated.tobytes():
-            return None
         env_ids = np.flatnonzero(step.terminated | step.truncated)
+        if not len(env_ids):
+            return None
         info = step.info
         success = None
         if judged and info.get("success") is not None:

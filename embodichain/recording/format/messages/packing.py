@@ -24,6 +24,8 @@ _F4 = DTYPES["<f4"]
 _F8 = DTYPES["<f8"]
 _SMALLEST_COMPARED = 64
 """Bytes; smaller arrays are stored as they are."""
+_LARGEST_JOINED = 4096
+"""Bytes; larger pieces are passed on as they are, without a copy."""
 _EXTRA_MANTISSA = 2**29 - 1
 """Mask of the bits of a float64's mantissa that float32 does not have."""
 
@@ -65,12 +67,13 @@ def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], lis
     looked at: they are stored as they are.
 
     Args:
-        arrays: dtype of each, and the contiguous arrays that it consists of.
+        arrays: dtype of each, and the pieces that it consists of: contiguous arrays, or bytes,
+            of equal size.
 
     Returns:
         The place of each array, and the stored bytes as bytes and arrays.
     """
-    sizes = [sum(piece.nbytes for piece in pieces) for _, pieces in arrays]
+    sizes = [len(pieces) * memoryview(pieces[0]).nbytes for _, pieces in arrays]
     compared: dict[int, _Compared] = {}  # by index in `arrays`
     same_as: dict[int, int] = {}  # index of an array to that of an equal one before it
     for index, (dtype, pieces) in enumerate(arrays):
@@ -104,7 +107,10 @@ def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], lis
             places[index] = places[same_as[index]]
         elif index not in compared:
             places[index] = Place(end)
-            stored += pieces
+            if memoryview(pieces[0]).nbytes < _LARGEST_JOINED:
+                stored.append(b"".join(pieces))
+            else:
+                stored += pieces
             end += sizes[index]
     return [places[index] for index in range(len(arrays))], stored
 
@@ -145,9 +151,9 @@ def _words(data: bytes) -> NDArray[np.uint64]:
     return np.frombuffer(data, np.uint64)
 
 
-def _looks_single(values: NDArray[Any]) -> bool:
-    """Whether a few of the values, which nearly always decide, are float32 values."""
-    words = values.reshape(-1).view(np.uint64)
+def _looks_single(values: Any) -> bool:
+    """Whether a few of some float64 values, which nearly always decide, are float32 values."""
+    words = np.frombuffer(values, np.uint64)
     stride = max(1, len(words) // 4)
     return not any(word & _EXTRA_MANTISSA for word in words[::stride].tolist())
 

@@ -237,11 +237,12 @@ class HostEngine(Uncopied, Engine):
         self, field: str, values: Any, env_ids: EnvIndex | None = None, columns: Columns = ALL
     ) -> None:
         view = self._rows if field == "row" else self._views[field]
-        view[entries(env_ids, columns)] = values
+        where = entries(env_ids, columns)
+        view[where] = values
         if field not in _INPUTS:
             self._mark(env_ids)
         if self.listeners:
-            self._notify(Write("state", field, env_ids, columns, view[entries(env_ids, columns)]))
+            self._notify(Write("state", field, env_ids, columns, view[where]))
 
     def write_model(
         self, field: str, values: Any, env_ids: EnvIndex | None = None, columns: Columns = ALL
