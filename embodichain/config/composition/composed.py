@@ -58,6 +58,7 @@ __all__ = [
     "from_hydra",
     "list_options",
     "parse",
+    "placed_key",
     "plain_values",
     "relax",
     "search_path",
@@ -501,13 +502,18 @@ def _is_hydras(override: Override) -> bool:
     return key == "hydra" or key.startswith(("hydra.", "hydra/"))
 
 
+def placed_key(override: Override) -> str:
+    """Return the key of an override, with a group's package: ``embodiment@task``."""
+    group = override.key_or_group
+    package = override.package or _PLACED_GROUPS.get(group)
+    return group if package is None else f"{group}@{package}"
+
+
 def _placed(override: Override, line: str) -> str:
     """The choice of an option where tasks place its group: ``embodiment@task=panda``."""
-    group = override.key_or_group
-    package = _PLACED_GROUPS.get(group)
-    if package is None or override.package is not None:
+    if override.package is not None:
         return line
-    return line.replace(group, f"{group}@{package}", 1)
+    return line.replace(override.key_or_group, placed_key(override), 1)
 
 
 def _quote_number(override: Override, line: str, options: list[str]) -> str:
