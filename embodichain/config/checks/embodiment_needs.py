@@ -62,11 +62,13 @@ def check_embodiment(
         return list(problems)
     options = _options(composed)
     uids = {uid for robots in options.values() for uid in robots}
-    # What no embodiment has is a mistake of its own, such as a misspelt name.
+    # What no embodiment has is a mistake of its own, such as a misspelt name, and so is a name that
+    # stands for nothing in the robot's file.
     missing = [
         need
         for need in dict.fromkeys(_missing_needs(task, known, uids))
-        if any(_has(robots, need) for robots in options.values())
+        if not _has(_robots(composed.tree), need)
+        and any(_has(robots, need) for robots in options.values())
     ]
     if not missing:
         return list(problems)

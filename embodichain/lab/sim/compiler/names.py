@@ -6,6 +6,7 @@ A reference picks joints, and frames of one kind: links, sites or geoms. `pick` 
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,6 +40,7 @@ __all__ = [
     "match",
     "match_every",
     "names_in_spec",
+    "names_wrong_alias",
     "no_such",
     "pick",
 ]
@@ -135,7 +137,8 @@ class FrameAlias:
 
     Attributes:
         kind: Their kind.
-        frames: Their names in the file, in the order of the config.
+        frames: Their names in the file, in the order of the config; none if the config has a
+            mistake there, which is reported once.
     """
 
     kind: FrameKind
@@ -368,6 +371,8 @@ def find_frame_of(
     aliases = _aliases_of(entity)
     alias = aliases.get(name)
     if alias is not None:
+        if not alias.frames:
+            return None, []
         if len(alias.frames) == 1:
             return (alias.kind, alias.frames[0]), []
         message = f"one {alias.kind} is wanted, {name!r} names {', '.join(alias.frames)}"
@@ -387,7 +392,7 @@ def _with_aliases(problem: Problem, name: str, aliases: Mapping[str, FrameAlias]
     """Return the problem of a name that does not exist, with the further names that there are."""
     if not aliases:
         return problem
-    hint = problem.hint or did_you_mean(name, list(aliases)).strip()
+    hint = did_you_mean(name, list(aliases)).strip() or problem.hint
     return replace(problem, message=f"{problem.message}; names: {', '.join(aliases)}", hint=hint)
 
 
@@ -428,6 +433,8 @@ def pick(
         return Picked(), [_no_entity(uid, known).below(path)]
     aliases = _aliases_of(entity)
     if aliases:
+        if names_wrong_alias(fields, entity):
+            return Picked(), []
         fields, mistakes = _replace_aliases(fields, aliases)
         if mistakes:
             return Picked(), [problem.below(path) for problem in mistakes]
@@ -439,6 +446,18 @@ def pick(
     if problems:
         return Picked(), [problem.below(path) for problem in problems]
     return picked, []
+
+
+def names_wrong_alias(
+    fields: Mapping[str, Any], entity: Jointed | KnownObject | str | None
+) -> bool:
+    """Return whether a reference has a name whose meaning in the robot's config is a mistake."""
+    aliases = {} if entity is None else _aliases_of(entity)
+    for key in itertools.chain(*_FRAME_KEYS.values()):
+        for name in _as_list(fields.get(key) or []):
+            if name in aliases and not aliases[name].frames:
+                return True
+    return False
 
 
 def _replace_aliases(

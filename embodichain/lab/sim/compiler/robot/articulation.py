@@ -321,7 +321,8 @@ def _compile(
                 placement=placement,
             )
         problems += [problem.below("home") for problem in mistakes]
-    problems += check_grippers(getattr(cfg, "grippers", {}), settings.parts)
+    grippers = getattr(cfg, "grippers", {})
+    problems += check_grippers(grippers, settings.parts, control_names(model))
     notes += starts_beyond_limits(file, joints, qpos)
 
     added_armature = np.zeros(len(names))

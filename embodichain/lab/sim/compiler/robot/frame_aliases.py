@@ -22,6 +22,7 @@ from embodichain.lab.sim.compiler.names import (
     no_such,
 )
 from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
+from embodichain.lab.sim.configs.robot_names_cfg import GripperCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -48,13 +49,25 @@ def frames_by_kind(model: mujoco.MjModel) -> dict[FrameKind, list[str]]:
     }
 
 
-def check_grippers(grippers: Mapping[str, object], parts: Mapping[str, object]) -> list[Problem]:
-    """Return a problem for each gripper that is not a control part, with paths in the config."""
-    return [
-        no_such("control part", part, [*parts] or ["none"], f"grippers.{part}")
-        for part in grippers
-        if part not in parts
-    ]
+def check_grippers(
+    grippers: Mapping[str, GripperCfg], parts: Mapping[str, object], controls: Sequence[str]
+) -> list[Problem]:
+    """Return what is wrong with the names in `grippers`, with paths in the config.
+
+    Args:
+        grippers: Control part -> how it opens and closes.
+        parts: The robot's control parts.
+        controls: The names of its controls.
+    """
+    problems: list[Problem] = []
+    for part, gripper in grippers.items():
+        if part not in parts:
+            problems.append(no_such("control part", part, [*parts] or ["none"], f"grippers.{part}"))
+        for pattern in _as_list(gripper.actuators or []):
+            path = f"grippers.{part}.actuators"
+            _, mistakes = match_every(pattern, controls, "actuator", path)
+            problems += mistakes
+    return problems
 
 
 def resolve_aliases(
@@ -76,7 +89,8 @@ def resolve_aliases(
             continue
         alias, mistakes = _resolve(_as_list(patterns), names, path)
         problems += mistakes
-        if alias is None:
+        if alias is None:  # references to it are not a mistake as well
+            aliases[name] = FrameAlias("link", ())
             continue
         clash = _clash(name, alias, names)
         if clash is None:

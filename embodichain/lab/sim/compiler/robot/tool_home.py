@@ -166,6 +166,8 @@ def _find_tool(
     """Return the kind and the name of the tool's frame, or what is wrong with its name."""
     alias = aliases.get(name)
     if alias is not None:
+        if not alias.frames:
+            return None, []
         if len(alias.frames) == 1:
             return (alias.kind, alias.frames[0]), []
         return None, [Problem("link", f"{name!r} names several: {', '.join(alias.frames)}")]
