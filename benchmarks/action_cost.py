@@ -25,24 +25,24 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
 SIZES = (1, 64, 1024)
-ARM = "of: {uid: ur10, joint_names: 'Joint.', link_names: [ee_link]}"
+ARM = "of: {uid: robot, joint_names: 'Joint.', link_names: [ee_link]}"
 LEFT, RIGHT = "gripper/left_finger", "gripper/right_finger"
 ACTIONS = {
-    "relative_joint_position": "of: {uid: ur10, joint_names: 'Joint.'}",
+    "relative_joint_position": "of: {uid: robot, joint_names: 'Joint.'}",
     "eef_delta_pose": ARM,
     "eef_delta_pose, world": f"{ARM}, frame: world",
     "eef_delta_pose, tool, measured": f"{ARM}, frame: tool, reference: qpos",
     "eef_pose": ARM,
     "eef_pose, world, rpy": f"{ARM}, frame: world, rotation: rpy",
-    "parallel_gripper": "of: {uid: ur10}, actuator_names: gripper/grip, width: [0, 0.085]",
+    "parallel_gripper": "of: {uid: robot}, actuator_names: gripper/grip, width: [0, 0.085]",
     "parallel_gripper, force, speed": (
-        "of: {uid: ur10}, actuator_names: gripper/grip, width: [0, 0.085], force: 60, speed: 0.15"
+        "of: {uid: robot}, actuator_names: gripper/grip, width: [0, 0.085], force: 60, speed: 0.15"
     ),
 }
 """Function of the term, a remark, and its parameters."""
 QUANTITIES = {
-    "gripper_opening": f"from: {{uid: ur10, link_names: [{LEFT}]}}, "
-    f"to: {{uid: ur10, link_names: [{RIGHT}]}}",
+    "gripper_opening": f"from: {{uid: robot, link_names: [{LEFT}]}}, "
+    f"to: {{uid: robot, link_names: [{RIGHT}]}}",
     "grasped": "sensor: fingers",
 }
 STEP = "whole step of reach"
@@ -72,7 +72,7 @@ def main() -> None:
 def overrides() -> list[str]:
     """Changes of `reach`: the gripper, a sensor on its fingers, the terms."""
     gripper = "{fpath: ParallelGripper/parallel_gripper.xml, to: ee_link}"
-    sensor = f"entity_cfg: {{uid: ur10, link_names: [{LEFT}, {RIGHT}]}}, against: {{uid: goal}}"
+    sensor = f"entity_cfg: {{uid: robot, link_names: [{LEFT}, {RIGHT}]}}, against: {{uid: goal}}"
     given = [
         THREAD,
         f"+task.robot.attach={{gripper: {gripper}}}",

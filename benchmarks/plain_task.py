@@ -38,7 +38,7 @@ class PlainTask(gym.Env[F32, F32]):
         self.model, self.initial, self.nstep = model, initial, nstep
         self.data = mujoco.MjData(model)
         self.goal = int(model.body("goal").mocapid[0])
-        self.tool = int(model.body("ur10/ee_link").id)
+        self.tool = int(model.body("robot/ee_link").id)
         self._restore()
         self.home = self.data.qpos.copy()
         self.action_space = gym.spaces.Box(-1.0, 1.0, (model.nu,), np.float32)

@@ -27,15 +27,15 @@ FIELDS = (
 )
 """What the events below write; constants that MuJoCo derives are recomputed as well."""
 EVENTS = {
-    "masses": "randomize_articulation_mass, params: {entity_cfg: {uid: ur10}, "
+    "masses": "randomize_articulation_mass, params: {entity_cfg: {uid: robot}, "
     "mass_range: [0.8, 1.2], operation: scale}",
     "com": "randomize_rigid_object_center_of_mass, params: {entity_cfg: {uid: cube}, "
     "com_pos_offset_range: [[-0.01, -0.01, -0.01], [0.01, 0.01, 0.01]]}",
     "slide": "randomize_rigid_body_material, params: {entity_cfg: {uid: cube}, "
     "friction_range: [0.4, 0.8]}",
-    "gains": "randomize_actuator_gains, params: {entity_cfg: {uid: ur10}, "
+    "gains": "randomize_actuator_gains, params: {entity_cfg: {uid: robot}, "
     "stiffness_range: [0.8, 1.2], damping_range: [0.8, 1.2], operation: scale}",
-    "armature": "randomize_joint_parameters, params: {entity_cfg: {uid: ur10}, "
+    "armature": "randomize_joint_parameters, params: {entity_cfg: {uid: robot}, "
     "armature_range: [0.0, 0.1]}",
 }
 RANDOMIZED = [f"+task.events.{key}={{mode: reset, func: {term}}}" for key, term in EVENTS.items()]

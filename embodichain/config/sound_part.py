@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass, replace
 from typing import Any
 
+from embodichain.config.checks.embodiment_needs import EMBODIMENT
 from embodichain.config.checks.validation import check_tree, named_maps
 from embodichain.config.keys.schema import RootCfg
 from embodichain.config.resolved import Checked, Resolved, thaw
@@ -45,7 +46,8 @@ def further_mistakes(
     Returns:
         Each mistake with its place, but those of which a known one could be the reason.
     """
-    if checked.check.types.root is None:
+    is_other_robot = any(problem.path == EMBODIMENT for problem in problems)
+    if checked.check.types.root is None or is_other_robot:
         return []
     part = _SoundPart(checked.check.types.tree)
     further: list[Problem] = []

@@ -161,7 +161,7 @@ def test_the_compiler_reckons_with_the_stiffness_that_the_event_draws(
     monkeypatch.syspath_prepend(str(tmp_path))
     largest = []
     for stiffest in (1e4, 8e4):
-        params = f"{{of: {{uid: ur10}}, stiffness: [1e4, {stiffest:g}]}}"
+        params = f"{{of: {{uid: robot}}, stiffness: [1e4, {stiffest:g}]}}"
         term = f"{{func: my_gains:draw_stiffness, mode: reset, params: {params}}}"
         drives = "task.robot.drive_pros={stiffness: 1e4, max_effort: file, armature: null}"
         env = embodichain.make("reach", 2, [drives, f"+task.events.gains={term}"])

@@ -71,7 +71,7 @@ def run(
 
 def test_one_file_adds_a_thing_of_each_kind(installed: Path, tmp_path: Path) -> None:
     tiny = ["num_envs=2", "algo.steps=4", "total_timesteps=16", "eval.episodes=2", "record=none"]
-    turning = "task.actions={all: {func: together, params: {of: {uid: ur10}}}}"
+    turning = "task.actions={all: {func: together, params: {of: {uid: robot}}}}"
     steps = {"steps": [{"wipe": {"of": "cube", "height": 0.2}}]}
     expert = "policy={func: expert, params: " + json.dumps(steps).replace('"', "") + "}"
     done = run(

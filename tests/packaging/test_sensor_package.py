@@ -12,7 +12,7 @@ import pytest
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 SECTION = PAGE.partition("\n## A sensor\n")[2].partition("\n## ")[0]
-SENSOR = "{sensor_type: altimeter, of: {uid: ur10, link_names: [ee_link]}, level: 0.5}"
+SENSOR = "{sensor_type: altimeter, of: {uid: robot, link_names: [ee_link]}, level: 0.5}"
 PROJECT = """\
 [build-system]
 requires = ["setuptools"]

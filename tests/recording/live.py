@@ -13,7 +13,7 @@ NOISY = [
     "task=reach",
     "task.max_episode_steps=9",
     "+task.observations.past={func: joint_position, history_length: 3, delay: [1, 2], "
-    "noise: {type: gaussian, std: 0.1}, params: {of: {uid: ur10}}}",
+    "noise: {type: gaussian, std: 0.1}, params: {of: {uid: robot}}}",
     "+task.observations.latest={func: last_action, group: critic}",
 ]
 """Overrides of a task whose observations have noise, a delay, a history and two groups."""

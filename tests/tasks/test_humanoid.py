@@ -51,7 +51,7 @@ def test_it_stands_by_its_ankles_and_falls_without_them(env):
 
 
 def test_only_the_legs_have_joints_in_left_and_right_pairs(env):
-    robot = env.sim.get_robot("g1")
+    robot = env.sim.get_robot("robot")
     legs = [f"{part}_joint" for part in ("hip_pitch", "hip_roll", "hip_yaw", "knee")]
     legs += ["ankle_pitch_joint", "ankle_roll_joint"]
     assert list(robot.joint_names) == [

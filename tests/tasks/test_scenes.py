@@ -104,7 +104,7 @@ def test_show_lists_surroundings_lights_and_views(capsys):
     assert [light["light"] for light in told["lights"]] == ["default"]
     views = {row["camera"]: row for row in told["cameras"]}
     assert {"default", "front", "top", "hand"} <= set(views)
-    assert views["hand"]["on body"] == "panda/panda_hand" and "eye: [" in views["front"]["view"]
+    assert views["hand"]["on body"] == "robot/panda_hand_tcp" and "eye: [" in views["front"]["view"]
     assert "table" in [row["entity"] for row in told["initial poses"]]
 
 
@@ -158,7 +158,7 @@ def test_every_view_of_a_shipped_task_shows_the_robot(task):
 
 def test_robots_are_drawn_by_their_visual_meshes():
     """All of the Panda's and the Go2's; collision shapes are hidden."""
-    for task, uid, least in (("lift_cube", "panda", 20), ("quadruped_velocity", "go2", 15)):
+    for task, uid, least in (("lift_cube", "robot", 20), ("quadruped_velocity", "robot", 15)):
         env = embodichain.make(task, overrides=["seed=1"])
         model, geoms = env.sim.scene.model, env.sim.get_robot(uid).entity.geom_ids
         drawn = geoms[model.geom_group[geoms] < 3]

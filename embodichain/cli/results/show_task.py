@@ -44,6 +44,8 @@ def task_tables(resolved: Resolved) -> dict[str, Any]:
             "actuators": _actuators(model),
             "drives": list(_drives(env)),
             "attached files": _attached(env),
+            "names of links": _names_of_links(env),
+            "grippers": _grippers(env),
             "self-collision": _self_collision(env),
             "surroundings": _surroundings(env),
             "lights": _lights(model),
@@ -307,6 +309,34 @@ def _attached(env: BaseEnv) -> Rows:
                 }
             )
     return rows
+
+
+def _names_of_links(env: BaseEnv) -> Rows:
+    """The further names that configs give links, sites and geoms."""
+    return [
+        {
+            "name": f"{uid}/{name}",
+            "kind": alias.kind,
+            "stands for": ", ".join(alias.frames),
+        }
+        for uid, parsed in _articulations(env).items()
+        for name, alias in parsed.aliases.items()
+    ]
+
+
+def _grippers(env: BaseEnv) -> Rows:
+    """How the grippers that configs describe open and close."""
+    return [
+        {
+            "gripper": f"{uid}/{part}",
+            "open": _flow(gripper.open),
+            "close": _flow(gripper.close),
+            "force": gripper.force,
+            "actuators": gripper.actuators,
+        }
+        for uid, parsed in _articulations(env).items()
+        for part, gripper in getattr(parsed.cfg, "grippers", {}).items()
+    ]
 
 
 def _names_under(prefix: str, names: Iterable[str]) -> str:

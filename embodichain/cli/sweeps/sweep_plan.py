@@ -15,7 +15,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from embodichain.cli.sweeps.hydra_folders import folder_named
-from embodichain.config.composition.composed import relax, search_path
+from embodichain.config.composition.composed import placed_key, relax, search_path
 from embodichain.config.composition.hydra_loader import (
     COMPOSING,
     SEARCH_PATH,
@@ -185,7 +185,7 @@ def swept_keys(overrides: Sequence[str]) -> list[str]:
         overrides: As typed.
     """
     parsed = OverridesParser.create().parse_overrides(list(overrides))
-    return [override.key_or_group for override in parsed if override.is_sweep_override()]
+    return [placed_key(override) for override in parsed if override.is_sweep_override()]
 
 
 def _count_jobs(config: DictConfig, overrides: Sequence[str]) -> int:

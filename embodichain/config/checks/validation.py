@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.core.override_parser.types import OverrideType
 
 from embodichain.config.checks.compiled_scene import compile_declared
+from embodichain.config.checks.embodiment_needs import check_embodiment
 from embodichain.config.checks.given_keys import check_given
 from embodichain.config.checks.viewer_access import access_of
 from embodichain.config.composition.composed import Composed
@@ -115,6 +116,8 @@ def check_composed(composed: Composed, verb: JobVerb) -> Check:
     causes = [p for p in _causes(check.problems) if p.path not in misread_numbers]
     problems = [*composed.problems, *_located(unknown, composed.source)]
     problems += [_advised(problem, locator) for problem in causes]
+    if check.types.root is not None and check.scene is not None:
+        problems = check_embodiment(composed, check.types.root.task, check.scene.known, problems)
     return replace(check, problems=problems)
 
 

@@ -58,11 +58,14 @@ __all__ = [
     "from_hydra",
     "list_options",
     "parse",
+    "placed_key",
     "plain_values",
     "relax",
     "search_path",
 ]
 
+_PLACED_GROUPS = {"embodiment": "task"}
+"""Group -> the package at which a task's `defaults` place its options, where none is typed."""
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 WITHOUT_TASK = "~task"
 """The override that composes a config with no option of the group `task`."""
@@ -407,7 +410,7 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
         elif options := loader.get_group_options(override.key_or_group):
             problem = _check_option(override, options)
             if problem is None:
-                for_hydra.append(_quote_number(override, line, options))
+                for_hydra.append(_placed(override, _quote_number(override, line, options)))
             else:
                 broken.add(override.key_or_group)
                 problems.append(problem)
@@ -434,7 +437,7 @@ def search_path(lines: Iterable[str]) -> tuple[list[str], list[Problem]]:
 
 
 def relax(lines: Iterable[str], loader: ConfigLoader) -> list[str]:
-    """Write ``key=value`` as ``++key=value``, for Hydra's own `main`.
+    """Write ``key=value`` as ``++key=value``, for Hydra's own `main`, and groups at their places.
 
     Hydra refuses to set a key that no file has; here the defaults are in the data classes. Lines
     that cannot be parsed are left for Hydra to refuse. The function is idempotent.
@@ -450,7 +453,7 @@ def relax(lines: Iterable[str], loader: ConfigLoader) -> list[str]:
         is_change = override.type is OverrideType.CHANGE and not _is_hydras(override)
         if is_change and not loader.get_group_options(override.key_or_group):
             line = f"++{line}"
-        relaxed.append(line)
+        relaxed.append(_placed(override, line))
     return relaxed
 
 
@@ -497,6 +500,20 @@ def _is_folder(value: Any) -> bool:
 def _is_hydras(override: Override) -> bool:
     key = override.key_or_group
     return key == "hydra" or key.startswith(("hydra.", "hydra/"))
+
+
+def placed_key(override: Override) -> str:
+    """Return the key of an override, with a group's package: ``embodiment@task``."""
+    group = override.key_or_group
+    package = override.package or _PLACED_GROUPS.get(group)
+    return group if package is None else f"{group}@{package}"
+
+
+def _placed(override: Override, line: str) -> str:
+    """The choice of an option where tasks place its group: ``embodiment@task=panda``."""
+    if override.package is not None:
+        return line
+    return line.replace(override.key_or_group, placed_key(override), 1)
 
 
 def _quote_number(override: Override, line: str, options: list[str]) -> str:

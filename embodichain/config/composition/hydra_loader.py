@@ -295,6 +295,9 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
         return [_unchosen(unchosen[1], loader)]
     if isinstance(error, MissingConfigException):
         return [_no_such_config(error, loader)]
+    unplaced = re.search(r"Could not override '(embodiment)(@\w+)?'", str(error))
+    if unplaced:
+        return [_unplaced(unplaced[1], is_placed=unplaced[2] is not None)]
     duplicate = re.search(r"Multiple values for (\S+)\.|(\S+) appears more than once", str(error))
     if duplicate:
         return _chosen_twice(duplicate[1] or duplicate[2], error, loader)
@@ -335,6 +338,21 @@ def _chosen_twice(group: str, error: Exception, loader: ConfigLoader) -> list[Pr
             return problems
     message = f"an option is chosen already: write {group}=NAME, without +"
     return [Problem(group, message, source=COMMAND_LINE)]
+
+
+def _unplaced(group: str, *, is_placed: bool) -> Problem:
+    """The problem that an option is chosen of a group that the task does not place.
+
+    Args:
+        group: The group.
+        is_placed: Whether the choice says where the task places it, as overrides do.
+    """
+    if not is_placed:
+        message = f"a file chooses it where no task places it: write `override /{group}@task: NAME`"
+        return Problem(group, message, source=COMMAND_LINE)
+    message = f"the task has no place for an {group}: its robot is written in it."
+    hint = f"Add the line `- /{group}@_here_: NAME` to its defaults, and leave out its `robot`."
+    return Problem(group, message, hint, COMMAND_LINE)
 
 
 def _unchosen(group: str, loader: ConfigLoader) -> Problem:

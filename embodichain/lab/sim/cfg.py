@@ -18,6 +18,7 @@ from pydantic import BeforeValidator, Field
 from embodichain.lab.sim.configs.contact_cfg import Coefficient, ContactCfg
 from embodichain.lab.sim.configs.drive_cfg import JointDrivePropertiesCfg
 from embodichain.lab.sim.configs.physics_cfg import GPUMemoryCfg, PhysicsCfg, RenderCfg
+from embodichain.lab.sim.configs.robot_names_cfg import GripperCfg, HomeCfg
 from embodichain.lab.sim.configs.scene_cfg import (
     Four,
     LightCfg,
@@ -48,6 +49,8 @@ __all__ = [
     "EngineName",
     "Four",
     "GPUMemoryCfg",
+    "GripperCfg",
+    "HomeCfg",
     "JointDrivePropertiesCfg",
     "LightCfg",
     "MarkerCfg",
@@ -320,6 +323,9 @@ class ArticulationCfg(ObjectBaseCfg):
         default_factory=SelfCollisionCfg, kw_only=True
     )
     """Pairs of links that collide, or do not, instead of what the rule of the file says."""
+    names: dict[str, str | list[str]] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Further names of links, sites or geoms: name -> one of them, a regex, or a list of these.
+    They are valid wherever a link is named, so that a task need not know the file's names."""
 
 
 @configclass
@@ -370,6 +376,10 @@ class RobotCfg(ArticulationCfg):
     # ours
     attach: dict[str, AttachedFileCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     """Name -> a file fixed on one of its links, in this order; a robot has one handle."""
+    grippers: dict[str, GripperCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Control part -> how this gripper opens and closes."""
+    home: HomeCfg | None = dataclasses.field(default=None, kw_only=True)
+    """The pose of the tool at the start; the joints that move it are solved from `init_qpos`."""
 
 
 @configclass

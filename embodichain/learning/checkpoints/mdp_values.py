@@ -61,6 +61,8 @@ def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
     for section in SECTIONS:
         if section not in _NO_MDP:
             values[section] = _terms(section, getattr(cfg, section))
+    for name, term in env.action_manager.terms.items():
+        _fill_in(values["actions"][name], getattr(term.instance, "filled_in", {}))
     observations = {name: term for name, term in cfg.observations.items() if term.group == group}
     values["observations"] = _terms("observations", observations)
     return _plain(values)
@@ -93,6 +95,12 @@ def _term(section: str, cfg: TermCfg) -> dict[str, Any]:
             is_default = name in defaults and _plain(value) == _plain(defaults[name])
             takes[name] = "default" if is_default else "given"
     return {"func": cfg.func, **other_fields, "params": params, "takes": takes}
+
+
+def _fill_in(term: dict[str, Any], params: Mapping[str, Any]) -> None:
+    """Add parameters that an action has taken from its robot's config."""
+    term["params"] = {**term["params"], **params}
+    term["takes"] = {**term["takes"], **dict.fromkeys(params, "given")}
 
 
 def _initial(env: BaseEnv) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS
 from embodichain.lab.sim.configs.references import REFERENCE_WORDS
 from embodichain.learning.checkpoints.mdp_values import mdp_values
 from embodichain.learning.checkpoints.physics_values import physics_values
+from embodichain.learning.checkpoints.renamed_entities import with_present_names
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -181,7 +182,10 @@ def check_unchanged(
     """
     if trained_in is None:
         return ()
-    changes = tuple(trained_in.changes(TaskDigest.of(env, group)))
+    now = TaskDigest.of(env, group)
+    scene = getattr(env, "template", env).sim  # `template` is of a batch in shards
+    earlier = TaskDigest(with_present_names(trained_in.parts, now.parts, scene.known))
+    changes = tuple(earlier.changes(now))
     refused = [change for change in changes if change.refused]
     if refused and not allow:
         lines = "".join(f"\n  {line}" for line in _lines(refused))

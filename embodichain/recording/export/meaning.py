@@ -12,6 +12,8 @@ from embodichain.utils.errors import ConfigError
 
 __all__ = ["action_names", "describe_action", "instruction_of", "require_unique", "robot_of"]
 
+_ANY_ROBOT = "robot"
+"""What tasks call their robot, which any embodiment may be."""
 _VALUE = "value = centre + scale x action; a delta is added to its reference in each control step"
 
 
@@ -44,11 +46,15 @@ def instruction_of(log: RecordedLog) -> str:
 
 
 def robot_of(log: RecordedLog) -> str | None:
-    """The type of robot: its uid; of several robots the names of their files, joined by "+"."""
+    """The type of robot: its uid, or the name of its file where tasks call it ``robot``.
+
+    Of several robots it is the names of their files, joined by "+".
+    """
     task = _task(log)
     robot = task.get("robot")
     if isinstance(robot, dict) and robot.get("uid") is not None:
-        return str(robot["uid"])
+        uid = str(robot["uid"])
+        return _file_name(uid, robot).lower() if uid == _ANY_ROBOT else uid
     robots = task.get("robots")
     if not isinstance(robots, dict) or not robots:
         return None

@@ -70,7 +70,7 @@ def test_what_changed_is_named(
         assert lines == CHANGES[change]
     else:
         assert len(lines) == 6
-        assert lines[0].startswith("joint ur10/")
+        assert lines[0].startswith("joint robot/")
         assert {line.partition(": ")[2].split()[0] for line in lines} == {"armature"}
     found, err = played(
         capsys, "eval", str(trained), "episodes=1", change, "allow_changed=true", *KEYS

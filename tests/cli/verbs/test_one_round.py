@@ -27,13 +27,13 @@ events:
     func: randomise_masses
     params: {entity_cfg: {uid: cubee}}
 observations:
-  fast: {func: joint_velocity, scale: [1, 2], params: {of: {uid: ur10}}}
+  fast: {func: joint_velocity, scale: [1, 2], params: {of: {uid: robot}}}
 rewards:
   reach: {weigth: 0.2}
   near:
     func: distance
     weight: 1
-    params: {from: {uid: ur10, site: tcp}, to: {uid: cube}}
+    params: {from: {uid: robot, site: tcp}, to: {uid: cube}}
   side: {func: position, weight: 1, params: {of: {uid: cube}}}
 """
 IN_PUSH = {
@@ -52,7 +52,7 @@ robot: {gravcmp: 1}
 sensors:
   tip:
     sensor_type: contact
-    entity_cfg: {uid: ur10, link_names: [gripper/left_fingr]}
+    entity_cfg: {uid: robot, link_names: [gripper/left_fingr]}
     against: {uid: cube}
 commands:
   goal: {func: uniform_pose, params: {ranges: 3}}
@@ -66,12 +66,12 @@ observations:
   speed:
     func: joint_velocity
     noise: {type: uniform, low: [0, 0], high: [1, 1]}
-    params: {of: {uid: ur10}}
+    params: {of: {uid: robot}}
 rewards:
   tool:
     func: distance
     weight: 1
-    params: {from: {uid: ur10, link_names: [ee_lnk]}, to: {uid: cube}}
+    params: {from: {uid: robot, link_names: [ee_lnk]}, to: {uid: cube}}
   side:
     func: relative_position
     weight: 1

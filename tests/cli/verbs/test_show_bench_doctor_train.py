@@ -25,13 +25,13 @@ def test_show_tells_what_is_built(capsys: pytest.CaptureFixture[str]) -> None:
     assert data["timing"]["environments"] == 5
     assert data["timing"]["control step"] == "0.02 s (4 physics steps)"
     bodies = {row["body"]: row for row in data["bodies"]}
-    assert bodies["ur10/shoulder_link"]["parent"] == "ur10/base_link"
+    assert bodies["robot/shoulder_link"]["parent"] == "robot/base_link"
     assert bodies["goal"]["moved by"] == "code (mocap)"
     joints = {row["joint"]: row for row in data["joints"]}
-    assert joints["ur10/Joint3"]["range"] == pytest.approx([-3.14159, 3.14159], abs=1e-4)
+    assert joints["robot/Joint3"]["range"] == pytest.approx([-3.14159, 3.14159], abs=1e-4)
     actuators = {row["actuator"]: row for row in data["actuators"]}
-    assert actuators["ur10/Joint1"]["stiffness"] == 500
-    assert actuators["ur10/Joint1"]["force range"] == [-330, 330]
+    assert actuators["robot/Joint1"]["stiffness"] == 500
+    assert actuators["robot/Joint1"]["force range"] == [-330, 330]
     assert [row["camera"] for row in data["cameras"]] == ["default"]
     spaces = {row["space"]: row for row in data["spaces"]}
     assert (spaces["action"]["shape"], spaces["action"]["low"]) == ("(6,)", -1.0)
@@ -40,13 +40,13 @@ def test_show_tells_what_is_built(capsys: pytest.CaptureFixture[str]) -> None:
     assert start["Joint6"]["qpos"] == pytest.approx(-3.14159)
     assert start["Joint3"]["upper"] == pytest.approx(3.14159, abs=1e-4)
     poses = {row["entity"]: row for row in data["initial poses"]}
-    assert poses["ur10"]["position m"] == [0, 0, 1]
+    assert poses["robot"]["position m"] == [0, 0, 1]
     assert poses["goal"]["quaternion wxyz"] == [1, 0, 0, 0]
     terms = {row["term"]: row for row in data["observations"]}
     assert (terms["to_goal"]["shape"], terms["qvel"]["scale"]) == ("(3,)", 0.1)
     assert data["actions"][0]["shape"] == "(6,)"
     assert data["actions"][0]["params"] == (
-        "{of: {uid: ur10}, centre: home, scale: 0.6, clip: [-1, 1]}"
+        "{of: {uid: robot, control_parts: arm}, centre: home, scale: 0.6, clip: [-1, 1]}"
     )
     first, second = data["action vector"][:2]
     assert (first["joint"], second["joint"]) == ("arm/Joint1", "arm/Joint2")
@@ -96,7 +96,7 @@ def test_show_tells_sensors_commands_and_curriculum(
     sensors = {row["sensor"]: row for row in data["sensors"]}
     assert (sensors["feet"]["type"], sensors["feet"]["params"]) == (
         "contact",
-        "{of: {uid: go2, link_names: [.*_foot]}}",
+        "{of: {uid: robot, link_names: [feet]}}",
     )
     assert sensors["feet"]["reads"] == "found, force"
     noise = {row["term"]: row.get("noise") for row in data["observations"]}

@@ -21,7 +21,7 @@ RANDOMIZED = [
     "+task.events.mass={func: randomize_rigid_object_mass, mode: reset,"
     " params: {entity_cfg: {uid: cube}, mass_range: [0.5, 2.0]}}",
     "+task.events.strength={func: randomize_actuator_strength, mode: reset,"
-    " params: {entity_cfg: {uid: ur10}, strength_range: [0.8, 1.1]}}",
+    " params: {entity_cfg: {uid: robot}, strength_range: [0.8, 1.1]}}",
 ]
 CASES = {
     "random_reach": ("random_reach", REACH, {}),

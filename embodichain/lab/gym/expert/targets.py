@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.sim.compiler.names import find_frame, frame_names, pick
+from embodichain.lab.sim.compiler.names import find_frame_of, pick
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import normalize_quat, quat_multiply, quat_rotate
 from embodichain.utils.suggest import did_you_mean
@@ -41,7 +41,7 @@ def _read_reference(target: str, known: Known) -> tuple[dict[str, Any], list[Pro
     if entity is None:  # the look-up of the entity reports it
         reference["link"] = name
         return reference, []
-    frame, problems = find_frame(name, lambda kind: frame_names(entity, uid, kind), "", uid)
+    frame, problems = find_frame_of(entity, uid, name)
     if frame is not None:
         kind, frame_name = frame
         reference[kind] = frame_name

@@ -6,6 +6,7 @@ A reference picks joints, and frames of one kind: links, sites or geoms. `pick` 
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FRAME_KINDS",
     "GROUND",
+    "FrameAlias",
     "FrameKind",
     "Jointed",
     "Known",
@@ -31,12 +33,14 @@ __all__ = [
     "check_uid",
     "exact_pattern",
     "find_frame",
+    "find_frame_of",
     "find_in_spec",
     "frame_in_model",
     "frame_names",
     "match",
     "match_every",
     "names_in_spec",
+    "names_wrong_alias",
     "no_such",
     "pick",
 ]
@@ -127,6 +131,20 @@ def check_uid(uid: str, path: str, taken: Mapping[str, str]) -> list[Problem]:
     return []
 
 
+@dataclass(frozen=True)
+class FrameAlias:
+    """Frames of a robot under a name that its config gives.
+
+    Attributes:
+        kind: Their kind.
+        frames: Their names in the file, in the order of the config; none if the config has a
+            mistake there, which is reported once.
+    """
+
+    kind: FrameKind
+    frames: tuple[str, ...]
+
+
 class Jointed(Protocol):
     """The part of `ParsedArticulation` that references need."""
 
@@ -149,6 +167,10 @@ class Jointed(Protocol):
     @property
     def geom_names(self) -> tuple[str, ...]:
         """Its geoms that have a name."""
+
+    @property
+    def aliases(self) -> Mapping[str, FrameAlias]:
+        """Further names of its links, sites and geoms."""
 
     @property
     def mimic_ids(self) -> tuple[int, ...]:
@@ -335,6 +357,45 @@ def find_frame(
     return None, [Problem(path, message, _closest(wanted_name, all_names))]
 
 
+def find_frame_of(
+    entity: Jointed | KnownObject | str, uid: str, name: str, path: str = ""
+) -> tuple[tuple[FrameKind, str] | None, list[Problem]]:
+    """Resolve the name of one frame of an entity, see `find_frame`; a robot's `names` are known.
+
+    Args:
+        entity: The entity.
+        uid: Its uid.
+        name: The name.
+        path: Its key path.
+    """
+    aliases = _aliases_of(entity)
+    alias = aliases.get(name)
+    if alias is not None:
+        if not alias.frames:
+            return None, []
+        if len(alias.frames) == 1:
+            return (alias.kind, alias.frames[0]), []
+        message = f"one {alias.kind} is wanted, {name!r} names {', '.join(alias.frames)}"
+        return None, [Problem(path, message)]
+    frame, problems = find_frame(name, lambda kind: frame_names(entity, uid, kind), path, uid)
+    return frame, [_with_aliases(problem, name, aliases) for problem in problems]
+
+
+def _aliases_of(entity: Jointed | KnownObject | str) -> Mapping[str, FrameAlias]:
+    """Return the further names of an entity's frames; only articulations have some."""
+    if isinstance(entity, (str, KnownObject)):
+        return {}
+    return entity.aliases
+
+
+def _with_aliases(problem: Problem, name: str, aliases: Mapping[str, FrameAlias]) -> Problem:
+    """Return the problem of a name that does not exist, with the further names that there are."""
+    if not aliases:
+        return problem
+    hint = did_you_mean(name, list(aliases)).strip() or problem.hint
+    return replace(problem, message=f"{problem.message}; names: {', '.join(aliases)}", hint=hint)
+
+
 def names_in_spec(spec: mujoco.MjSpec, kind: FrameKind) -> Sequence[str]:
     """The names of a spec's links, sites or geoms; of links those of the world's are left out."""
     if kind == "link":
@@ -370,6 +431,13 @@ def pick(
         if uid in known or (open_scene and uid):
             return Picked(), []
         return Picked(), [_no_entity(uid, known).below(path)]
+    aliases = _aliases_of(entity)
+    if aliases:
+        if names_wrong_alias(fields, entity):
+            return Picked(), []
+        fields, mistakes = _replace_aliases(fields, aliases)
+        if mistakes:
+            return Picked(), [problem.below(path) for problem in mistakes]
     reference = _Reference(uid, entity, fields)
     if isinstance(entity, (str, KnownObject)):
         picked, problems = _pick_of_body(reference, entity)
@@ -378,6 +446,64 @@ def pick(
     if problems:
         return Picked(), [problem.below(path) for problem in problems]
     return picked, []
+
+
+def names_wrong_alias(
+    fields: Mapping[str, Any], entity: Jointed | KnownObject | str | None
+) -> bool:
+    """Return whether a reference has a name whose meaning in the robot's config is a mistake."""
+    aliases = {} if entity is None else _aliases_of(entity)
+    for key in itertools.chain(*_FRAME_KEYS.values()):
+        for name in _as_list(fields.get(key) or []):
+            if name in aliases and not aliases[name].frames:
+                return True
+    return False
+
+
+def _replace_aliases(
+    fields: Mapping[str, Any], aliases: Mapping[str, FrameAlias]
+) -> tuple[Mapping[str, Any], list[Problem]]:
+    """Return the keys of a reference with the file's names for those of the robot's config.
+
+    A name of sites or geoms turns the key of links into theirs. Frames of several kinds are a
+    problem.
+    """
+    replaced = dict(fields)
+    for written_kind, keys in _FRAME_KEYS.items():
+        for key in keys:
+            value = fields.get(key)
+            if key == "body_ids" or value is None:
+                continue
+            entries = _as_list(value)
+            used = {name: aliases[name] for name in entries if name in aliases}
+            if not used:
+                continue
+            kinds = {alias.kind for alias in used.values()}
+            if len(used) < len(entries):
+                kinds.add(written_kind)
+            if len(kinds) > 1:
+                words = ", ".join(f"{name} ({alias.kind}s)" for name, alias in used.items())
+                message = f"a reference names links, sites or geoms, of one kind; these are {words}"
+                return fields, [Problem(key, message)]
+            frames: list[str] = []
+            for entry in entries:
+                alias = used.get(entry)
+                if alias is None:
+                    frames.append(str(entry))
+                else:
+                    frames += map(exact_pattern, alias.frames)
+            kind = kinds.pop()
+            if key == written_kind:  # the short key, of one frame
+                if len(frames) > 1:
+                    names = ", ".join(used[entries[0]].frames)
+                    message = f"one {kind} is wanted, {entries[0]!r} names {names}"
+                    return fields, [Problem(key, message)]
+                del replaced[key]
+                replaced[kind] = used[entries[0]].frames[0]
+                continue
+            del replaced[key]
+            replaced[key if kind == written_kind else f"{kind}_names"] = frames
+    return replaced, []
 
 
 def _no_entity(uid: str, known: Known) -> Problem:
@@ -533,6 +659,12 @@ def _pick_of_body(reference: _Reference, entity: KnownObject | str) -> tuple[Pic
     return frames, problems + mistakes
 
 
+def _last_quoted(problem: Problem) -> str:
+    """Return the name that a message says in quotes, without the entity's; empty if none."""
+    quoted = re.findall(r"'([^']*)'", problem.message.partition("; there are:")[0])
+    return quoted[-1] if quoted else ""
+
+
 def _pick_frames(reference: _Reference) -> tuple[Picked, list[Problem]]:
     """The picked links, sites or geoms."""
     keys_of = reference.frame_keys()
@@ -571,6 +703,9 @@ def _pick_frames(reference: _Reference) -> tuple[Picked, list[Problem]]:
         picked += ids
         frames_by += [frame_match.named_by(names) for frame_match in matches or ()]
         problems += [reference.with_other_kind(problem, key, kind) for problem in mistakes]
+    aliases = _aliases_of(reference.entity)
+    if aliases:
+        problems = [_with_aliases(problem, _last_quoted(problem), aliases) for problem in problems]
     frames = Picked(
         kind=kind,
         frames=reference.sort(picked),

@@ -255,7 +255,7 @@ class Articulation(FrameReads):
     # -- links ---------------------------------------------------------------------------------
 
     def body_of(self, link: str | None) -> int:
-        """MuJoCo body id of a link; None is the root link.
+        """MuJoCo body id of a link, by its name or one of the config's `names`; None is the root.
 
         Raises:
             ValueError: If there is no such link; lists the links.
@@ -263,6 +263,9 @@ class Articulation(FrameReads):
         if link is None:
             return self.index.root_body_id
         names = self.link_names
+        alias = self.parsed.aliases.get(link)
+        if alias is not None and alias.kind == "link" and len(alias.frames) == 1:
+            link = alias.frames[0]
         if link not in names:
             raise ValueError(
                 f"{self.uid} has no link {link!r}; there are: {', '.join(names)}."

@@ -69,6 +69,9 @@ class FrameReads(BatchEntity):
             ValueError: If there is none of this name; lists them.
         """
         names = self.parsed.site_names if kind == "site" else self.parsed.geom_names
+        alias = self.parsed.aliases.get(name)
+        if alias is not None and alias.kind == kind and len(alias.frames) == 1:
+            name = alias.frames[0]
         if name not in names:
             choices = f"{listing(names, name)}.{did_you_mean(name, names)}"
             raise ValueError(f"{self.uid} has no {kind} {name!r}; there are: {choices}")

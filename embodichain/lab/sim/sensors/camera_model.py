@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from embodichain.lab.sim.compiler.names import (
     Known,
     KnownObject,
     find_frame,
+    find_frame_of,
     frame_names,
     no_such,
 )
@@ -106,7 +107,7 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
         entity = entities.get(uid)
         if entity is None:  # a light, or unreadable
             return LinksCfg(uid=uid), []
-        frame, problems = find_frame(rest, _names_of(uid, entity), "extrinsics.parent")
+        frame, problems = find_frame_of(entity, uid, rest, "extrinsics.parent")
         return _frame_cfg(uid, frame), problems
 
     # A name without its entity: one of them must have it.
@@ -115,7 +116,7 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
     }
     carriers: list[LinksCfg] = []
     for name, jointed_entity in jointed.items():
-        frame, _ = find_frame(parent, _names_of(name, jointed_entity), "")
+        frame, _ = find_frame_of(jointed_entity, name, parent)
         carrier = _frame_cfg(name, frame)
         if carrier is not None:
             carriers.append(carrier)
@@ -140,13 +141,6 @@ def _all_frame_names(entities: Mapping[str, Jointed], kind: FrameKind) -> tuple[
     for uid, entity in entities.items():
         names += frame_names(entity, uid, kind) or ()
     return tuple(names)
-
-
-def _names_of(
-    uid: str,
-    entity: Jointed | KnownObject,
-) -> Callable[[FrameKind], tuple[str, ...] | None]:
-    return lambda kind: frame_names(entity, uid, kind)
 
 
 def _frame_cfg(uid: str, frame: tuple[FrameKind, str] | None) -> LinksCfg | None:

@@ -27,25 +27,25 @@ BAD = {
     "short offset": (["place: {to: stand, offset: [0, 0]}"], "0.place.offset.2: missing value"),
     "no target": (["grasp"], "0.grasp.of: missing; step 'grasp' needs it"),
     "no value wanted": (["close: 3"], "0.close: takes no plain value, got 3"),
-    "unknown entity": (["grasp: cub"], "0.grasp.of: no entity is called 'cub'; there are: ur10"),
-    "unknown link": (["grasp: ur10/hand"], "0.grasp.of: no link of 'ur10' matches 'hand'"),
+    "unknown entity": (["grasp: cub"], "0.grasp.of: no entity is called 'cub'; there are: robot"),
+    "unknown link": (["grasp: robot/hand"], "0.grasp.of: no link of 'robot' matches 'hand'"),
     "unknown arm": (["grasp: {of: cube, arm: left}"], "0.grasp.arm: there is no arm 'left'; there"),
     "in a repetition": (
         ["repeat: {times: 2, steps: [{lift: 0.1}, {grasp: cub}]}"],
         "0.repeat.steps.1.grasp.of: no entity is called 'cub'",
     ),
-    "in a lane": (["together: {ur10: [{grab: cube}]}"], "0.together.ur10.0.grab: unknown step"),
+    "in a lane": (["together: {robot: [{grab: cube}]}"], "0.together.robot.0.grab: unknown step"),
     "no such lane": (
         ["together: {left: [{lift: 0.1}]}"],
         "0.together.left: there is no arm 'left'",
     ),
     "other arm in a lane": (
-        ["together: {ur10: [{lift: {arm: tool}}]}"],
-        "0.together.ur10.0.lift.arm: contradicts 'ur10', whose steps these are",
+        ["together: {robot: [{lift: {arm: tool}}]}"],
+        "0.together.robot.0.lift.arm: contradicts 'robot', whose steps these are",
     ),
     "two arms in a lane": (
-        ["together: {ur10: [{hand_over: {of: cube, to: tool}}]}"],
-        "0.together.ur10.0.hand_over.to: contradicts 'ur10'",
+        ["together: {robot: [{hand_over: {of: cube, to: tool}}]}"],
+        "0.together.robot.0.hand_over.to: contradicts 'robot'",
     ),
 }
 
@@ -94,7 +94,7 @@ def test_an_arm_must_be_named_where_there_are_two():
 def test_a_step_that_grips_needs_a_gripper():
     found = problems_of([{"grasp": "cube"}], task="push_cube")
     assert len(found) == 1
-    assert "0.grasp: arm 'arm' has no gripper: no parallel_gripper moves 'ur10'" in found[0]
+    assert "0.grasp: arm 'arm' has no gripper: no parallel_gripper moves 'robot'" in found[0]
 
 
 def test_an_action_that_no_arm_motion_can_be_expressed_by():

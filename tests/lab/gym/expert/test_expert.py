@@ -19,7 +19,7 @@ from embodichain.utils.math import (
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
-TOOL = "of: {uid: ur10, control_parts: arm}"
+TOOL = "of: {uid: robot, control_parts: arm}"
 LOOSE = "task.robot.drive_pros={stiffness: 0, damping: 0}"
 
 
@@ -169,7 +169,7 @@ def test_a_tool_that_is_stopped_does_not_arrive():
     run = Performance("pick_place", 2, steps=steps)
     for failure in run.failures:
         assert failure.startswith("step 1, move_to world: the tool has not arrived: ")
-        assert re.search(r"ur10/gripper/left_finger touches table with \d+ N, ", failure)
+        assert re.search(r"robot/gripper/left_finger touches table with \d+ N, ", failure)
         assert failure.endswith(" rad are missing")
 
 

@@ -14,7 +14,7 @@ from embodichain.utils.math import quat_multiply, rotvec_to_quat
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N = 3
-TOOL = "of: {uid: ur10, control_parts: arm}"
+TOOL = "of: {uid: robot, control_parts: arm}"
 
 
 @pytest.fixture
@@ -111,7 +111,7 @@ def test_arms_and_grippers_of_two_robots(built):
 def test_a_robot_without_action_terms_is_an_arm(built):
     env = built("reach", "~task.actions.arm", "~task.rewards", "~task.observations.action")
     ((declared, arm),) = arms_of(env)
-    assert (declared.name, declared.uid, declared.gripper) == ("", "ur10", None)
+    assert (declared.name, declared.uid, declared.gripper) == ("", "robot", None)
     qpos = env.robot.read_qpos() + 0.1
     assert arm.term.action_towards(None, None, qpos) == pytest.approx(qpos)
 
@@ -220,13 +220,13 @@ def test_what_is_missing_at_the_end_is_corrected(built):
 def test_poses_of_targets(built):
     env = built("press_button")
     targets = TargetPoses(env)
-    for name in ("button", "button/cap", "world", "ur10/gripper/tcp"):
+    for name in ("button", "button/cap", "world", "robot/gripper/tcp"):
         targets.add(name, "expert")
     button = env.sim.get_articulation("button")
     for name, pose in (
         ("button", button.get_local_pose()),
         ("button/cap", button.get_link_pose("cap")),
-        ("ur10/gripper/tcp", env.robot.get_link_pose("gripper/tcp")),
+        ("robot/gripper/tcp", env.robot.get_link_pose("gripper/tcp")),
     ):
         pos, quat = targets(name)
         assert pos == pytest.approx(pose[:, :3].numpy(), abs=1e-6)
@@ -245,8 +245,8 @@ def test_a_function_must_return_poses(built):
 
 def test_a_command_is_a_target(built):
     box = "[[0.5, 0, 0], [0.5001, 0.0001, 0.0001]]"
-    pose = f"{{func: uniform_pose, params: {{of: {{uid: ur10}}, position_range: {box}}}}}"
-    speed = "{func: uniform_velocity, params: {of: {uid: ur10}, ranges: {}}}"
+    pose = f"{{func: uniform_pose, params: {{of: {{uid: robot}}, position_range: {box}}}}}"
+    speed = "{func: uniform_velocity, params: {of: {uid: robot}, ranges: {}}}"
     env = built("press_button", f"+task.commands.goal={pose}", f"+task.commands.run={speed}")
     targets = TargetPoses(env)
     targets.add("goal", "expert")
@@ -276,7 +276,7 @@ def test_a_target_is_checked(target, message):
 
 # -- other robots and actions ----------------------------------------------------------------------
 
-PANDA = "{uid: panda, control_parts: [gripper]}"
+PANDA = "{uid: robot, control_parts: [gripper]}"
 
 
 @pytest.mark.parametrize(

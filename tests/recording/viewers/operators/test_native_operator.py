@@ -115,7 +115,7 @@ def test_a_link_of_the_robot_is_dragged_and_other_bodies_are_not(run):
     run.window.dragged = (cube, way)
     assert run.step()[:6] == pytest.approx(0.0, abs=1e-6)
     start = run.tool
-    hand = int(run.env.sim.robots["ur10"].entity.body_ids[-1])
+    hand = int(run.env.sim.robots["robot"].entity.body_ids[-1])
     for _ in range(40):
         run.window.dragged = (hand, start + way - run.tool)  # the mouse stays where it is
         run.step()

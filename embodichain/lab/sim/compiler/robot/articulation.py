@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -61,6 +61,13 @@ from embodichain.lab.sim.compiler.robot.files.robot_joints import (
     movable_joints,
     read_servos,
 )
+from embodichain.lab.sim.compiler.robot.frame_aliases import (
+    check_grippers,
+    frames_by_kind,
+    resolve_aliases,
+    with_file_names,
+    with_file_names_in,
+)
 from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.robot.robot_assembly import assemble, attach_files
 from embodichain.lab.sim.compiler.robot.robot_links import (
@@ -81,6 +88,7 @@ from embodichain.lab.sim.compiler.robot.robot_notes import (
     without_effort,
 )
 from embodichain.lab.sim.compiler.robot.robot_root import Root, place, set_root
+from embodichain.lab.sim.compiler.robot.tool_home import check_home, move_to_home
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import listing
 
@@ -153,6 +161,9 @@ def _parse(
     changes: Sequence[DriveChange],
 ) -> tuple[ParsedArticulation | None, list[Problem]]:
     """Read the file, apply the config to it, compile it; see `parse_with_problems`."""
+    written = cfg
+    cfg = with_file_names(cfg)
+    changes = with_file_names_in(changes, written)
     try:
         file = read_robot(cfg)
     except ConfigError as error:
@@ -178,7 +189,7 @@ def _parse(
         if "mjMINVAL" in text and not cfg.fix_base:
             text += ": a base without mass cannot float; fix_base: true fixes it"
         return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
-    return parsed, problems
+    return replace(parsed, cfg=written), problems
 
 
 def _prepare(file: ModelFile, cfg: ArticulationCfg) -> tuple[RobotModel, Any]:
@@ -286,13 +297,33 @@ def _compile(
             body.gravcomp = float(cfg.gravcomp)
     _unsimplify(file.spec, changes)
     notes += fixed_free_joints(cfg, file)
-    notes += starts_beyond_limits(file, joints, qpos)
 
     root_start = None if keyframe is None else keyframe.root
     root = set_root(file.spec, cfg.fix_base, robot.planes, root_start)
     spec = root.spec
     notes += [f"{file.path}: {line}" for line in root.notes]
     model = compile_quietly(spec)
+    placement = place(placed, _root_pose(model, root, keyframe))
+    aliases, mistakes = resolve_aliases(cfg, frames_by_kind(model))
+    problems += mistakes
+    home = getattr(cfg, "home", None)
+    if home is not None:
+        mistakes = check_home(home)
+        if not mistakes:
+            qpos, mistakes = move_to_home(
+                home,
+                model,
+                start_posture(model, qpos, keyframe),
+                joints=movable_joints(model),
+                followers=[mimic.joint for mimic in mimics],
+                aliases=aliases,
+                root=root.name,
+                placement=placement,
+            )
+        problems += [problem.below("home") for problem in mistakes]
+    grippers = getattr(cfg, "grippers", {})
+    problems += check_grippers(grippers, settings.parts, control_names(model))
+    notes += starts_beyond_limits(file, joints, qpos)
 
     added_armature = np.zeros(len(names))
     rigidity = Rigidity.none(len(names))
@@ -334,7 +365,7 @@ def _compile(
         joint_names=tuple(model.joint(i).name for i in movable_joints(model)),
         link_names=tuple(model.body(i).name for i in range(1, model.nbody)),
         root_link_name=root.name,
-        placement=place(placed, _root_pose(model, root, keyframe)),
+        placement=placement,
         fixed_base=cfg.fix_base,
         qpos_limits=joints.qpos_limits,
         qvel_limits=joints.qvel_limits,
@@ -354,6 +385,7 @@ def _compile(
         mimic_parents=tuple(mimic.leader for mimic in shown),
         mimic_multipliers=tuple(mimic.slope for mimic in shown),
         mimic_offsets=tuple(mimic.offset for mimic in shown),
+        aliases=aliases,
         control_parts=settings.parts,
         tools={part: tool.link for part, tool in settings.tools.items()},
         own_actuators=model.nactuator > int(gains.driven.sum()),

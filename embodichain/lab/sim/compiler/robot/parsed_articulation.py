@@ -11,7 +11,7 @@ import numpy as np
 
 from embodichain.lab.sim.cfg import ArticulationCfg
 from embodichain.lab.sim.compiler.index import F64, Mask
-from embodichain.lab.sim.compiler.names import exact_pattern
+from embodichain.lab.sim.compiler.names import FrameAlias, exact_pattern
 from embodichain.lab.sim.compiler.robot.contacts.self_collision import SelfCollision
 from embodichain.lab.sim.compiler.robot.drives.added_armature import RAISED
 from embodichain.lab.sim.compiler.robot.files.initial_state import Keyframe
@@ -56,6 +56,7 @@ class ParsedArticulation:
         added_armature: Armature added so that limited drives do not chatter.
         mimic_ids: Joints that follow another, ``q = multiplier * q[parent] + offset``: mimics of a
             URDF, and joints without drive and servo that an equality of an MJCF couples.
+        aliases: Further names of links, sites and geoms: `names` of the config.
         control_parts: Part -> joint indices.
         tools: Part (``default`` is the whole robot) -> the link that is its tool point.
         own_actuators: Whether actuators of the file are kept.
@@ -107,6 +108,7 @@ class ParsedArticulation:
     mimic_parents: tuple[int, ...]
     mimic_multipliers: tuple[float, ...]
     mimic_offsets: tuple[float, ...]
+    aliases: dict[str, FrameAlias]
     control_parts: dict[str, tuple[int, ...]]
     tools: dict[str, str]
     own_actuators: bool

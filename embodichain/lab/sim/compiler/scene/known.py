@@ -14,9 +14,8 @@ from embodichain.lab.sim.compiler.names import (
     Jointed,
     KnownObject,
     ObjectModel,
-    find_frame,
+    find_frame_of,
     frame_in_model,
-    frame_names,
 )
 from embodichain.lab.sim.compiler.robot.files.robot_files import MUJOCO_ERRORS, compile_quietly
 from embodichain.lab.sim.compiler.robot.files.spec_frames import local_pose
@@ -157,14 +156,14 @@ def find_place(name: str, known: Known) -> tuple[Place | None, list[Problem]]:
     The problem is that the entity has no such frame; without such an entity there is none.
 
     Args:
-        name: The name; `find_frame` says how NAME is understood.
+        name: The name; `find_frame_of` says how NAME is understood.
         known: The entities of the scene.
     """
     uid, slash, rest = name.partition("/")
     entity = known.get(uid)
     if not slash or entity is None or isinstance(entity, str):
         return None, []
-    frame, problems = find_frame(rest, lambda kind: frame_names(entity, uid, kind), "", uid)
+    frame, problems = find_frame_of(entity, uid, rest)
     if frame is None:
         return None, problems
     kind, frame_name = frame

@@ -15,6 +15,7 @@ from embodichain.lab.sim.compiler.names import (
     NamedBy,
     frame_in_model,
     frame_names,
+    names_wrong_alias,
     no_such,
     pick,
 )
@@ -149,7 +150,7 @@ class SceneNames:
         """
         picked, problems = pick(path, vars(cfg), self.known, self.open_scene)
         entity = self.known.get(cfg.uid)
-        if problems or entity is None:
+        if problems or entity is None or names_wrong_alias(vars(cfg), entity):
             return None, problems
         names = frame_names(entity, cfg.uid, picked.kind)
         if names is None:

@@ -258,7 +258,7 @@ def test_impedance_without_decoupling_is_refused(pair: Pair) -> None:
 OFTEN = {"mode": "interval", "interval_range_s": [0.03, 0.07]}
 EVERY_STEP = {"mode": "interval", "interval_step": 1}
 SPEEDS = {"velocity_range": {"x": [-0.3, 0.3], "yaw": [-0.3, 0.3]}}
-ROBOT = {"of": {"uid": "go2"}}
+ROBOT = {"of": {"uid": "robot"}}
 OVER_TIME = {
     "push": {"func": "push_by_setting_velocity", **OFTEN, "params": ROBOT | SPEEDS},
     "push_all": {

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.mdp._tools import Orientation
     from embodichain.lab.sim.compiler.names import NamedBy
+    from embodichain.lab.sim.objects.arms.arm_dynamics import ArmDynamics
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
     from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.utils.array_types import Floats
@@ -542,11 +543,29 @@ class JointAction(JointTerm):
         return speeds
 
     def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
-        """(N, A) the action for joint positions; see `MovesTool`."""
-        columns, _ = self._moving
+        """(N, A) the action for joint positions; see `MovesTool`.
+
+        Drives that bear the weight of the arm get targets as far ahead as they sag below them.
+        """
+        columns, joints = self._moving
         start = self._reference() if self._is_motion else self._targets()
         target = start.copy()
         target[:, columns] = qpos
         if self._is_motion:
             return self._affine.action_for(target - start)
+        if not self._asset.parsed.cfg.gravcomp:
+            target[:, columns] += self._sag(joints)
         return self._action_at(target)
+
+    @cached_property
+    def _dynamics(self) -> ArmDynamics:
+        """The dynamics of the joints that move the tool."""
+        from embodichain.lab.sim.objects.arms.arm_dynamics import ArmDynamics  # for experts only
+
+        return ArmDynamics(self._asset, self.solver.moving.tolist(), self.solver.chain.tool)
+
+    def _sag(self, joints: NDArray[np.int64]) -> Floats:
+        """(N, k) how far drives stay behind their targets while they bear the arm, rad or m."""
+        stiffness = self._asset.drives.stiffness[:, joints]
+        has_drive = stiffness > 0.0
+        return np.where(has_drive, self._dynamics.bias().T / np.where(has_drive, stiffness, 1.0), 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +17,7 @@ from embodichain.lab.gym.envs.managers.terms.per_name import PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp.actions.actuator_ctrl import picked_controls
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
+from embodichain.lab.sim.compiler.names import NamedBy
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
+    from embodichain.lab.sim.configs.robot_names_cfg import GripperCfg
     from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.utils.array_types import Floats
 else:
@@ -45,6 +48,10 @@ class ParallelGripper(JointTerm):
 
     Joints that mimic another follow it; a gripper of an MJCF file, whose fingers move by a tendon,
     is moved by the control of its actuator.
+
+    Where the robot's config says how this gripper opens and closes (`grippers`), `open_command`,
+    `close_command`, `force` and `actuator_names` are taken from there unless given; without control
+    parts or joints in `of`, the gripper is the only one that the robot has.
 
     Example:
         ``{func: parallel_gripper, params: {of: {uid: panda, joint_names: panda_finger_joint1}}}``
@@ -91,6 +98,23 @@ class ParallelGripper(JointTerm):
         speed: Positive | None = None,
         finger_axis: Literal["x", "y"] | Vec3 | None = None,
     ) -> None:
+        is_binary = command_mode == "binary"
+        gripper = _gripper_of(entity_cfg)
+        self.filled_in: dict[str, Any] = {}
+        if gripper is not None:
+            entity_cfg = gripper.joints
+            given = {
+                "actuator_names": actuator_names,
+                "open_command": open_command,
+                "close_command": close_command,
+                "force": force,
+            }
+            self.filled_in = gripper.missing(given, is_binary=is_binary)
+            values = {**given, **self.filled_in}
+            actuator_names = values["actuator_names"]
+            open_command = values["open_command"]
+            close_command = values["close_command"]
+            force = values["force"]
         super().__init__(env, entity_cfg, driven=actuator_names is None)
         self._controls: _Controls | None = None
         if actuator_names is not None:
@@ -101,7 +125,7 @@ class ParallelGripper(JointTerm):
         # Each map from the command at the lower end to the one at the upper end.
         limit_commands = {"lower_command": lower_command, "upper_command": upper_command}
         state_commands = {"close_command": close_command, "open_command": open_command}
-        self._is_binary = command_mode == "binary"
+        self._is_binary = is_binary
         if self._is_binary:
             commands = state_commands
             unused: dict[str, Any] = {
@@ -269,6 +293,57 @@ class ParallelGripper(JointTerm):
     def hold(self) -> Floats:
         """(N, 1) the action nearest to the present targets."""
         return self._action_at(self._current_command())
+
+
+@dataclass(frozen=True, eq=False)
+class _Gripper:
+    """A gripper that the robot's config describes.
+
+    Attributes:
+        joints: The robot and the joints of the gripper.
+        cfg: How it opens and closes.
+    """
+
+    joints: ResolvedEntity
+    cfg: GripperCfg
+
+    def missing(self, given: Mapping[str, Any], *, is_binary: bool) -> dict[str, Any]:
+        """Return the parameters of the action that are not given and that the config has."""
+        cfg = self.cfg
+        of_config: dict[str, Any] = {"actuator_names": cfg.actuators, "force": cfg.force}
+        if is_binary:
+            of_config |= {"open_command": cfg.open, "close_command": cfg.close}
+        return {
+            name: value
+            for name, value in of_config.items()
+            if value is not None and given[name] is None
+        }
+
+
+def _gripper_of(entity: ResolvedEntity) -> _Gripper | None:
+    """The gripper that a reference names, if the robot's config describes it."""
+    parsed = getattr(entity.asset, "parsed", None)
+    grippers: Mapping[str, GripperCfg] = getattr(getattr(parsed, "cfg", None), "grippers", {})
+    if entity.control_parts:
+        parts = [part for part in entity.control_parts if part in grippers]
+        if len(entity.control_parts) == 1 and parts:
+            return _Gripper(entity, grippers[parts[0]])
+        return None
+    if entity.joints_by or len(grippers) != 1:
+        return None
+    part, cfg = next(iter(grippers.items()))
+    mimics = parsed.mimic_ids
+    ids = tuple(sorted(i for i in parsed.control_parts[part] if i not in mimics))
+    names = tuple(parsed.joint_names[i] for i in ids)
+    joints = replace(
+        entity,
+        joint_ids=ids,
+        joint_names=names,
+        control_parts=(part,),
+        joints_by=(NamedBy("control_parts", part, names),),
+        all_joints=len(ids) == len(parsed.joint_names),
+    )
+    return _Gripper(joints, cfg)
 
 
 class _Controls:

@@ -1,0 +1,217 @@
+"""`check_embodiment`: what a task needs of its robots and the chosen embodiment does not have.
+
+A task names its robots' parts by the names that embodiments share. All that an embodiment lacks is
+one mistake, which names the embodiments that have it; what follows from it is not reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from embodichain.config.composition.composed import Composed, compose, list_options
+from embodichain.config.composition.locate import COMMAND_LINE
+from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.managers.scene_entity import references_in
+from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS
+from embodichain.lab.sim.compiler.names import Known, pick
+from embodichain.lab.sim.configs.references import FRAME_KEYS, LinksCfg
+from embodichain.utils.errors import Problem
+
+__all__ = ["EMBODIMENT", "check_embodiment"]
+
+EMBODIMENT = "embodiment"
+"""The group, and the key path of the mistake that an embodiment lacks something."""
+_CHOICE = f"{EMBODIMENT}@task"
+"""The choice of an embodiment, as Hydra calls it."""
+_GRIPPER_ACTION = "parallel_gripper"
+_COMMANDS = ("open_command", "close_command")
+
+
+@dataclass(frozen=True)
+class _Need:
+    """Something of a robot that a task names.
+
+    Attributes:
+        path: Key path in the task of what names it.
+        uid: The robot.
+        kind: ``robot``, ``name`` (of a link), ``part`` or ``gripper``.
+        name: The name.
+    """
+
+    path: str
+    uid: str
+    kind: str
+    name: str
+
+
+def check_embodiment(
+    composed: Composed, task: EnvCfg, known: Known, problems: Sequence[Problem]
+) -> list[Problem]:
+    """Return mistakes in which all that the embodiment lacks is one of them.
+
+    Args:
+        composed: The composed config.
+        task: The task, of it.
+        known: The entities of its scene.
+        problems: The mistakes that were found, with paths from the root.
+    """
+    name = composed.choices.get(_CHOICE)
+    if name is None or not problems:
+        return list(problems)
+    options = _options(composed)
+    uids = {uid for robots in options.values() for uid in robots}
+    # What no embodiment has is a mistake of its own, such as a misspelt name, and so is a name that
+    # stands for nothing in the robot's file.
+    missing = [
+        need
+        for need in dict.fromkeys(_missing_needs(task, known, uids))
+        if not _has(_robots(composed.tree), need)
+        and any(_has(robots, need) for robots in options.values())
+    ]
+    if not missing:
+        return list(problems)
+    having = [
+        option for option, robots in options.items() if all(_has(robots, need) for need in missing)
+    ]
+    hint = "No embodiment has all of it: embodichain list embodiments."
+    if having:
+        hint = f"Embodiments that have it: {', '.join(having)}."
+    message = f"{name} lacks what the task needs: {_listed(missing)}."
+    mistake = Problem(EMBODIMENT, message, hint, _place(composed))
+    paths = [f"task.{need.path}" for need in missing]
+    paths += ["task.robot", "task.robots", "task.expert"]
+    return [mistake, *(problem for problem in problems if not _follows(problem, paths))]
+
+
+_WORDS = {"robot": "robots", "name": "names", "part": "control parts", "gripper": "grippers"}
+"""Kind of a need -> what it is called in messages."""
+
+
+def _listed(needs: Iterable[_Need]) -> str:
+    """Return needs for people, by kind: ``names left_finger, right_finger``."""
+    names_of: dict[str, list[str]] = {kind: [] for kind in _WORDS}
+    for need in needs:
+        name = need.name
+        if need.kind != "robot" and need.uid != "robot":
+            name = f"{need.uid}/{name}"
+        if name not in names_of[need.kind]:
+            names_of[need.kind].append(name)
+    listed = [f"{_WORDS[kind]} {', '.join(names)}" for kind, names in names_of.items() if names]
+    return "; ".join(listed)
+
+
+def _follows(problem: Problem, paths: Iterable[str]) -> bool:
+    """Whether a mistake is at one of some key paths, or below it."""
+    return any(problem.path == path or problem.path.startswith(f"{path}.") for path in paths)
+
+
+def _place(composed: Composed) -> str:
+    """Where the embodiment was chosen: an override, else the file of the embodiment."""
+    typed = [line for line in composed.overrides if line.lstrip("+").startswith(EMBODIMENT)]
+    return COMMAND_LINE if typed else composed.source("task.robot")
+
+
+def _robots(tree: Any) -> dict[str, Mapping[str, Any]]:
+    """Uid -> robot of a composed task; a map without a file is what the task adds to no robot."""
+    task = tree.get("task") if isinstance(tree, Mapping) else None
+    if not isinstance(task, Mapping):
+        return {}
+    robots: dict[str, Mapping[str, Any]] = {}
+    for uid, robot in (task.get("robots") or {}).items():
+        robots[str(uid)] = robot
+    robot = task.get("robot")
+    if isinstance(robot, Mapping) and robot.get("uid"):
+        robots[str(robot["uid"])] = robot
+    return {
+        uid: robot
+        for uid, robot in robots.items()
+        if isinstance(robot, Mapping) and (robot.get("fpath") or robot.get("urdf_cfg"))
+    }
+
+
+def _options(composed: Composed) -> dict[str, Mapping[str, Mapping[str, Any]]]:
+    """Embodiment -> uid -> its robot, composed with the task as the present one is."""
+    lines = [line for line in composed.overrides if not line.lstrip("+~").startswith(EMBODIMENT)]
+    options: dict[str, Mapping[str, Mapping[str, Any]]] = {}
+    for option in list_options(EMBODIMENT):
+        other = compose([*lines, f"{EMBODIMENT}={option}"], composed.config_name)
+        options[option] = _robots(other.tree)
+    return options
+
+
+def _missing_needs(task: EnvCfg, known: Known, uids: set[str]) -> Iterator[_Need]:
+    """Yield what the task names of robots, and what they do not have."""
+    for path, reference in _references(task):
+        uid = str(reference.get("uid") or "")
+        if uid not in uids:
+            continue
+        if uid not in known:
+            yield _Need(path, uid, "robot", uid)
+        yield from _missing_parts(path, uid, reference, known)
+    for uid, cfg in _declared_robots(task):
+        if cfg.home is not None and uid in known:
+            reference = {"uid": uid, "link": cfg.home.link}
+            path = "robot.home" if uid == "robot" else f"robots.{uid}.home"
+            yield from _missing_parts(path, uid, reference, known)
+    robots = dict(_declared_robots(task))
+    for name, action in task.actions.items():
+        of = action.params.get("of", action.params.get("entity_cfg"))
+        uid = str(of.get("uid") if isinstance(of, Mapping) else getattr(of, "uid", ""))
+        robot = robots.get(uid)
+        if action.func != _GRIPPER_ACTION or robot is None or robot.grippers:
+            continue
+        is_binary = action.params.get("command_mode") == "binary"
+        if is_binary and not any(action.params.get(key) is not None for key in _COMMANDS):
+            yield _Need(f"actions.{name}", uid, "gripper", "gripper")
+
+
+def _missing_parts(
+    path: str, uid: str, reference: Mapping[str, Any], known: Known
+) -> Iterator[_Need]:
+    """Yield the names of a reference that pick nothing of its robot."""
+    keys = [(key, "name") for key in (*FRAME_KEYS, "body_names")] + [("control_parts", "part")]
+    for key, kind in keys:
+        value = reference.get(key)
+        names = [value] if isinstance(value, str) else list(value or [])
+        for name in names:
+            _, mistakes = pick("", {"uid": uid, key: name}, known)
+            if mistakes:
+                yield _Need(path, uid, kind, str(name))
+
+
+def _declared_robots(task: EnvCfg) -> Iterator[tuple[str, Any]]:
+    """Yield uid and config of the task's robots."""
+    if task.robot is not None and task.robot.uid:
+        yield task.robot.uid, task.robot
+    yield from task.robots.items()
+
+
+def _references(task: EnvCfg) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield key path and keys of every reference of a task: of terms and of sensors."""
+    for section in SECTIONS:
+        for name, term in getattr(task, section).items():
+            yield from references_in(f"{section}.{name}.params", term.params)
+    for name, sensor in task.sensors.items():
+        for key, value in vars(sensor).items():
+            if isinstance(value, LinksCfg) and value.uid:
+                yield f"sensors.{name}.{key}", vars(value)
+    for name, view in task.views.items():
+        uid, slash, frame = str(view.body or "").partition("/")
+        if uid:
+            yield f"views.{name}", {"uid": uid, **({"link": frame} if slash else {})}
+
+
+def _has(robots: Mapping[str, Mapping[str, Any]], need: _Need) -> bool:
+    """Whether an embodiment has what a task needs, by what its file says."""
+    robot = robots.get(need.uid)
+    if robot is None:
+        return False
+    if need.kind == "robot":
+        return True
+    if need.kind == "gripper":
+        return bool(robot.get("grippers"))
+    if need.kind == "part":
+        return need.name in (robot.get("control_parts") or {})
+    return need.name in (robot.get("names") or {})
