@@ -19,7 +19,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["checked_file", "notes_on_file", "resolve_file", "validate_file"]
 
-_GROUPS = ("task", "scene", "sim", "record", "viewer", "algo", "experiment")
+_GROUPS = ("task", "scene", "variation", "sim", "record", "viewer", "algo", "experiment")
 _ANY_TASK = "task=random_reach"
 
 
@@ -103,7 +103,8 @@ def _composed_option(file: Path, verb: JobVerb) -> Composed:
     verb = _verb_of(file, verb)
     if group in _GROUPS:
         name = "scene@task.scene" if group == "scene" else group
-        overrides = [f"{name}={file.stem}"]
+        option = f"[{file.stem}]" if group == "variation" else file.stem
+        overrides = [f"{name}={option}"]
         if group != "task":
             overrides.insert(0, _ANY_TASK)
         return compose(overrides, verb, file.parent.parent)

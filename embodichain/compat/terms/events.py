@@ -370,7 +370,7 @@ class RandomizeTargetPose(Term):
         setattr(self._env, self._key, state["poses"].clone())
 
 
-@register_term("event", name="push_articulation_by_setting_velocity")
+@register_term("event", name="push_articulation_by_setting_velocity", takes_strength=True)
 class PushArticulation(PushBySettingVelocity):
     """`push_by_setting_velocity` at its own times.
 

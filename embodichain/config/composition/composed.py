@@ -41,6 +41,7 @@ from embodichain.config.composition.hydra_loader import (
 from embodichain.config.composition.locate import COMMAND_LINE, ConfigFile, Locator, display_path
 from embodichain.config.composition.override_text import malformed, readable
 from embodichain.config.composition.removed_entries import remove_null_entries
+from embodichain.config.composition.variations import merge_variations
 from embodichain.config.keys.algorithms import DEFAULT_ALGORITHM
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import show_value
@@ -85,7 +86,8 @@ class Composed:
         problems: The mistakes found so far.
         usable: Whether `tree` is complete; otherwise it has at most values of the root, and only
             their types can be checked.
-        notes: Parts of a gym config that were left out or changed in the conversion.
+        notes: Parts of a gym config that were left out or changed in the conversion, and parts of
+            variations that change nothing.
     """
 
     config_name: str
@@ -168,15 +170,18 @@ def compose(
     problems += unresolved
     tree, mistakes = remove_null_entries(tree, locator.gives)
     mistakes += keep_last_given(tree, locator.rank)
+    merged = merge_variations(tree, locator.source)
+    mistakes += merged.problems
     problems += [problem.at(locator.source(problem.path)) for problem in mistakes]
+    locator = replace(locator, origins=merged.origins)
     return Composed(
         config_name=config_name,
         overrides=lines,
-        tree=tree,
+        tree=merged.tree,
         choices=choices,
         locator=locator,
         problems=tuple(problems),
-        notes=gym.notes if gym is not None else (),
+        notes=(*(gym.notes if gym is not None else ()), *merged.notes),
     )
 
 

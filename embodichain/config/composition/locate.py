@@ -5,8 +5,8 @@ The lines come from the marks that YAML's parser adds to keys.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from os.path import commonprefix
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
@@ -201,10 +201,12 @@ class Locator:
     Attributes:
         files: The composed files; if two set a key, the later wins.
         overrides: Value overrides, applied after all files.
+        origins: Key path of what a variation has set -> where the variation has it.
     """
 
     files: Sequence[ConfigFile]
     overrides: Sequence[Override] = ()
+    origins: Mapping[str, str] = field(default_factory=dict)
 
     def source(self, path: str) -> str:
         """Return ``FILE:LINE`` or ``command line`` of a key, or of its nearest ancestor.
@@ -213,7 +215,7 @@ class Locator:
             path: Dotted, with list indices as numbers; a name may itself contain dots. Missing keys
                 are located at the deepest ancestor that something sets.
         """
-        parts = path.split(".")
+        parts = self._origin(path).split(".")
         best = -1.0
         place: tuple[Path, int] | None = None
         for file in self.files:
@@ -234,6 +236,15 @@ class Locator:
             return COMMAND_LINE
         path_of_file, line = place
         return f"{display_path(path_of_file)}:{line}"
+
+    def _origin(self, path: str) -> str:
+        """The path at which files and overrides have a key that a variation has set."""
+        parts = path.split(".")
+        for depth in range(len(parts), 0, -1):
+            origin = self.origins.get(".".join(parts[:depth]))
+            if origin is not None:
+                return ".".join([origin, *parts[depth:]])
+        return path
 
     def sets(self, path: str) -> bool:
         """Whether a file sets exactly this key."""

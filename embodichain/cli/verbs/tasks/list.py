@@ -23,7 +23,17 @@ __all__ = ["command"]
 
 Rows = list[dict[str, Any]]
 _FAULT = "cannot load"
-_KINDS = ("tasks", "robots", "policies", "terms", "formats", "viewers", "learners", "steps")
+_KINDS = (
+    "tasks",
+    "variations",
+    "robots",
+    "policies",
+    "terms",
+    "formats",
+    "viewers",
+    "learners",
+    "steps",
+)
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,7 @@ class ListOptions:
 @verb(
     "list",
     ("list tasks", "every task that task=NAME finds"),
+    ("list variations", "what variation=[NAME,...] finds"),
     ("list robots", "robot files that a task can name"),
     ("list policies", "trained policies that ship, and how often they succeed"),
     ("list terms", "functions for events, observations, rewards, ..."),
@@ -65,7 +76,8 @@ def command(options: ListOptions) -> None:
         sys.stdout.write(catalogue())
         return
     makers = {
-        "tasks": _tasks,
+        "tasks": lambda: _options("task"),
+        "variations": lambda: _options("variation"),
         "robots": _robots,
         "policies": _policies,
         "terms": _terms,
@@ -94,14 +106,14 @@ def _print_list(title: str, lines: list[str]) -> None:
     sys.stdout.write("\n".join([f"{title}:", *folded, "\n"]))
 
 
-def _tasks() -> Rows:
-    """Every option of the group `task` in the search path; a broken file is listed too."""
+def _options(group: str) -> Rows:
+    """Every option of a group in the search path; a broken file is listed too."""
     from embodichain.config.composition.hydra_loader import config_loader
 
     rows = []
     with config_loader() as loader:
-        for name in loader.get_group_options("task"):
-            path = f"task/{name}"
+        for name in loader.get_group_options(group):
+            path = f"{group}/{name}"
             source = next(s for s in loader.get_sources() if s.is_config(path))
             place = "embodichain" if source.provider == "main" else source.provider
             rows.append({"name": name, "what": _description(source, path), "from": place})
@@ -117,9 +129,11 @@ def _description(source: ConfigSource, path: str) -> str:
     try:
         config = source.load_config(path).config
     except yaml.YAMLError:
-        return f"(malformed YAML: embodichain validate task={path.removeprefix('task/')})"
+        return f"(malformed YAML: embodichain validate {path.replace('/', '=', 1)})"
     if not isinstance(config, DictConfig):
         return ""
+    if path.startswith("variation/"):  # placed by its header
+        config = next(iter(config.task.variations.values())) if "task" in config else config
     raw: Any = OmegaConf.to_container(config, resolve=False)
     description = raw.get("description", "")
     if is_from_env(description):  # may be a secret

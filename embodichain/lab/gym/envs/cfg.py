@@ -173,6 +173,10 @@ class EventCfg(TermCfg):
     """[low, high] seconds between firings, drawn each time; overrides `interval_step`."""
     is_global: bool = False
     """Whether all environments share one timer (and `env_ids` is None)."""
+    strength: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """How far its draws are from the default, 0 to 1: default + strength x (drawn - default), and
+    default x (drawn / default) ^ strength for factors. Draws are made at 0 too. Only of events that
+    have defaults (`register_term`)."""
 
 
 @configclass

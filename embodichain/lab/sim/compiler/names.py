@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FRAME_KINDS",
     "GROUND",
+    "SUN",
     "FrameAlias",
     "FrameKind",
     "Jointed",
@@ -47,6 +48,8 @@ __all__ = [
 
 GROUND = "default_plane"
 """Name of the ground plane, EmbodiChain's."""
+SUN = "default"
+"""Name of the light of a scene that declares none."""
 FrameKind = Literal["link", "site", "geom"]
 """What a reference names beside joints: bodies, or sites or geoms that are fixed on them."""
 FRAME_KINDS: tuple[FrameKind, ...] = ("link", "site", "geom")

@@ -24,14 +24,36 @@ if TYPE_CHECKING:
     from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 
-__all__ = ["ActionSlices", "Commands", "EditableTerms", "EventDraws", "RandomDraws", "TermContext"]
+__all__ = [
+    "ActionSlices",
+    "Commands",
+    "EditableTerms",
+    "EventDraws",
+    "RandomDraws",
+    "TermContext",
+    "Weaken",
+]
+
+
+class Weaken(Protocol):
+    """Brings drawn values nearer to their defaults."""
+
+    def __call__(self, values: Floats, strength: float) -> Floats:
+        """(n, m) values at a strength: defaults at 0, the values given at 1."""
+        ...
 
 
 class RandomDraws(Protocol):
     """Random numbers for the term that is being called."""
 
     def draw(
-        self, what: str, shape: Sequence[int], low: Any, high: Any, env_ids: EnvIndex | None
+        self,
+        what: str,
+        shape: Sequence[int],
+        low: Any,
+        high: Any,
+        env_ids: EnvIndex | None,
+        default: Any = None,
     ) -> Floats:
         """Draw uniform numbers from the calling term's own stream, and log them.
 
@@ -41,6 +63,8 @@ class RandomDraws(Protocol):
             low: Scalar or array that broadcasts to ``shape``.
             high: Likewise; exclusive.
             env_ids: (n,) environments that draw, or None for all.
+            default: What an event's `strength` draws towards, of the shape of ``low``; None if it
+                does not act on these numbers.
 
         Returns:
             (n, *shape) float64. Do not write into it.
@@ -51,6 +75,11 @@ class RandomDraws(Protocol):
 class EventDraws(RandomDraws, Protocol):
     """Random numbers for event terms."""
 
+    @property
+    def strength(self) -> float:
+        """`strength` of the event that is being called, 0 to 1."""
+        ...
+
     def draw_columns(
         self,
         columns: Mapping[str, slice],
@@ -58,6 +87,7 @@ class EventDraws(RandomDraws, Protocol):
         high: Floats,
         env_ids: EnvIndex | None,
         normal: bool = False,
+        weaken: Mapping[str, Weaken] | None = None,
     ) -> Floats:
         """Draw several quantities at once, each logged under its name; see `EventManager`."""
         ...

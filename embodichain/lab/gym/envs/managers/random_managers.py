@@ -24,7 +24,7 @@ from embodichain.utils.suggest import did_you_mean, listing
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext, Weaken
     from embodichain.lab.gym.envs.managers.terms.registry import Kind
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.utils.array_types import Floats
@@ -50,6 +50,7 @@ class RandomManager(Manager[C]):
 
     def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
         self._stream = ""
+        self._strength = 1.0
         self._drawn: dict[str, NDArray[Any]] = {}
         self._recorded: Mapping[str, NDArray[Any]] = {}
         super().__init__(env, section, kind, cfgs)
@@ -77,7 +78,13 @@ class RandomManager(Manager[C]):
             self.env.log_event(term.name, mode, env_ids, self._drawn)
 
     def draw(
-        self, what: str, shape: Sequence[int], low: Any, high: Any, env_ids: EnvIndex | None
+        self,
+        what: str,
+        shape: Sequence[int],
+        low: Any,
+        high: Any,
+        env_ids: EnvIndex | None,
+        default: Any = None,
     ) -> Floats:
         """Draw uniform numbers for the term that is being called, and log them.
 
@@ -87,6 +94,8 @@ class RandomManager(Manager[C]):
             low: Scalar or array that broadcasts to ``shape``.
             high: Likewise; exclusive.
             env_ids: (n,) environments that draw, or None for all.
+            default: What an event's `strength` draws towards, scalar or array that broadcasts to
+                ``shape``; None if it does not act on these numbers. The log has the result.
 
         Returns:
             (n, *shape) float64. Do not write into it.
@@ -96,6 +105,8 @@ class RandomManager(Manager[C]):
             values = self._replayed(what, shape, env_ids)
         if values is None:
             values = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
+            if default is not None and self._strength != 1.0:
+                values = default + self._strength * (values - default)
         self._drawn[what] = values
         return values
 
@@ -106,6 +117,7 @@ class RandomManager(Manager[C]):
         high: Floats,
         env_ids: EnvIndex | None,
         normal: bool = False,
+        weaken: Mapping[str, Weaken] | None = None,
     ) -> Floats:
         """Draw several quantities at once, and log each under its name.
 
@@ -117,6 +129,7 @@ class RandomManager(Manager[C]):
             env_ids: (n,) environments that draw, or None for all.
             normal: Whether to draw normal numbers: mean in the middle, clipped to the bounds at
                 three standard deviations.
+            weaken: Name -> how an event's `strength` acts on its columns. The log has the result.
 
         Returns:
             (n, k) float64. Do not write into it.
@@ -127,7 +140,8 @@ class RandomManager(Manager[C]):
             if draw is not None:
                 recorded.append(draw)
         values: Floats
-        if recorded and len(recorded) == len(columns):
+        is_recorded = bool(recorded) and len(recorded) == len(columns)
+        if is_recorded:
             values = np.concatenate(recorded, axis=1)
         elif normal:
             values = self.env.streams.normal(self._stream, (len(low),), env_ids)
@@ -135,6 +149,11 @@ class RandomManager(Manager[C]):
             values = np.clip(values, np.minimum(low, high), np.maximum(low, high))
         else:
             values = self.env.streams.uniform(self._stream, (len(low),), low, high, env_ids)
+        if weaken and self._strength != 1.0 and not is_recorded:
+            parts = [
+                weaken[name](values[:, where], self._strength) for name, where in columns.items()
+            ]
+            values = np.concatenate(parts, axis=1)
         for name, where in columns.items():
             self._drawn[name] = values[:, where]
         return values
@@ -296,7 +315,13 @@ class EventManager(RandomManager[EventCfg]):
         for interval in self._intervals:
             interval.restart(env_ids)
 
+    @property
+    def strength(self) -> float:
+        """`strength` of the event that is being called, 0 to 1."""
+        return self._strength
+
     def _run(self, term: BuiltTerm[EventCfg], mode: str, env_ids: EnvIndex | None) -> None:
+        self._strength = term.cfg.strength
         self._call(term, mode, env_ids, self.env, env_ids)
 
     def state_dict(self) -> dict[str, Any]:

@@ -260,19 +260,26 @@ class Uniform:
         name: Name in the log.
         low: Scalar or array, of the shape of one environment's draw.
         high: Likewise; exclusive.
+        default: What stands for a draw where an event's `strength` is 0, scalar or array; None if
+            `strength` does not act on it.
 
     Attributes:
         low, high: The bounds, read-only float64.
     """
 
-    def __init__(self, name: str, low: Any, high: Any) -> None:
+    def __init__(self, name: str, low: Any, high: Any, default: Any = None) -> None:
         self.name = name
         self.low = constant(low)
         self.high = constant(high)
+        self._default = None if default is None else constant(default)
 
     @classmethod
     def within(
-        cls, name: str, bounds: Sequence[Any] | None, degrees: bool = False
+        cls,
+        name: str,
+        bounds: Sequence[Any] | None,
+        degrees: bool = False,
+        default: Any = None,
     ) -> Uniform | None:
         """The numbers of a parameter [low, high], or of a box [[...], [...]]; None for None.
 
@@ -280,6 +287,7 @@ class Uniform:
             name: Name in the log.
             bounds: The parameter; [low, high] is a draw of shape (1,).
             degrees: Whether the bounds are in degrees; draws are in rad.
+            default: As of the class, in the unit of draws.
         """
         if bounds is None:
             return None
@@ -287,8 +295,11 @@ class Uniform:
         if degrees:
             low = np.deg2rad(low)
             high = np.deg2rad(high)
-        return cls(name, low, high)
+        return cls(name, low, high, default)
 
     def __call__(self, draws: RandomDraws, env_ids: EnvIndex | None) -> Floats:
         """(n, ...) numbers for the environments given, or for all. Do not write into it."""
-        return draws.draw(self.name, self.low.shape, self.low, self.high, env_ids)
+        shape = self.low.shape
+        if self._default is None:
+            return draws.draw(self.name, shape, self.low, self.high, env_ids)
+        return draws.draw(self.name, shape, self.low, self.high, env_ids, default=self._default)

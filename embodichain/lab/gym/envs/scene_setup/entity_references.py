@@ -6,7 +6,7 @@ from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.param_types import NamedEntity
 from embodichain.lab.gym.envs.managers.scene_entity import references_in
 from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, TERMS, Kind
-from embodichain.lab.sim.compiler.names import Known, pick
+from embodichain.lab.sim.compiler.names import SUN, Known, pick
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -47,5 +47,9 @@ def _check_light(path: str, uid: str, known: Known, open_scene: bool) -> list[Pr
     lights = [name for name, entity in known.items() if entity == "light"]
     if uid in lights or (open_scene and uid and uid not in known):
         return []
+    if not lights:
+        if uid == SUN:  # whether the sun shines is known when the scene is compiled
+            return []
+        lights = [SUN]
     message = f"no light is called {uid!r}; there are: {listing(lights, uid)}"
     return [Problem(f"{path}.uid", message, did_you_mean(uid, lights).strip())]

@@ -17,14 +17,13 @@ from embodichain.lab.sim.compiler.geoms.contact_parameters import (
 )
 from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.names import GROUND
+from embodichain.lab.sim.compiler.names import GROUND, SUN
 from embodichain.lab.sim.configs.contact_cfg import ContactCfg
 from embodichain.lab.sim.configs.scene_cfg import GroundCfg, LightCfg, SceneCfg, SkyCfg
 from embodichain.utils.errors import Problem
 
 __all__ = [
     "FOVY",
-    "SUN",
     "WOOD_LENGTH",
     "add_ground",
     "add_lights",
@@ -36,8 +35,6 @@ __all__ = [
     "wood",
 ]
 
-SUN = "default"
-"""Name of the light of a scene that declares none."""
 FOVY = 40.0
 """Default vertical field of view in degrees."""
 _FULL_INTENSITY = 30.0

@@ -227,6 +227,7 @@ def _spec(name: str, kind: Kind, described: Alias) -> AliasSpec:
         params=_in_order(params_by_name, exposed),
         doc=_doc(described, target),
         lead=target.lead,
+        takes_strength=target.takes_strength,
         target=target,
         steps=steps,
         makers=makers,

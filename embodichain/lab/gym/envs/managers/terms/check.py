@@ -177,6 +177,11 @@ def check_term(
         problems += [Problem(f"{path}.func", p.message, p.hint) for p in error.problems]
         return None, problems
     problems += _check_class(f"{path}.func", spec)
+    if isinstance(term, EventCfg) and term.strength != 1.0 and not spec.takes_strength:
+        events = TERMS["event"].values()
+        able = ", ".join(sorted(event.name for event in events if event.takes_strength))
+        message = f"{spec.name} draws nothing that has a default; these events do: {able}"
+        problems.append(Problem(f"{path}.strength", message))
     values, mistakes = check_params(spec, term.params, f"{path}.params")
     problems += mistakes
     if problems:

@@ -119,6 +119,7 @@ class TermSpec:
         lead: Which of ``obs``, ``action`` and ``info`` a quantity takes after ``env``; None for
             other terms.
         draws: What an event declares to draw for drives and links, see `register_term`.
+        takes_strength: Whether an event's `strength` acts on what it draws.
     """
 
     name: str
@@ -130,6 +131,7 @@ class TermSpec:
     lead: tuple[str, ...] | None = None
     _hints: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
     draws: DrawDeclaration | None = field(default=None, kw_only=True)
+    takes_strength: bool = field(default=False, kw_only=True)
 
     @property
     def is_class(self) -> bool:
@@ -255,7 +257,10 @@ TERMS = _TermTable()
 
 
 def register_term(
-    *kinds: Kind, name: str | None = None, draws: DrawDeclaration | None = None
+    *kinds: Kind,
+    name: str | None = None,
+    draws: DrawDeclaration | None = None,
+    takes_strength: bool = False,
 ) -> Callable[[T], T]:
     """Make a function or class available to configs under a name.
 
@@ -266,6 +271,8 @@ def register_term(
             mass: a function that takes those of the event's parameters that it names (references as
             `SceneEntityCfg`), and returns a `PhysicsDraw` for each quantity of each entity. It is
             called before the scene is compiled.
+        takes_strength: Of an event: whether `strength` acts on it, because it gives the defaults of
+            what it draws (`Uniform`, `EventDraws`).
 
     Returns:
         A decorator that returns its argument.
@@ -281,6 +288,8 @@ def register_term(
     def decorate(func: T) -> T:
         if draws is not None:
             _DRAWS[func] = draws
+        if takes_strength:
+            _TAKE_STRENGTH.add(func)
         for kind in kinds:
             add_term(describe_term(kind, func, name))
         return func
@@ -354,6 +363,8 @@ _LEADS: dict[Callable[..., Any], tuple[str, ...]] = {}
 """Quantities -> the arguments that they take after `env`."""
 _DRAWS: dict[Callable[..., Any], DrawDeclaration] = {}
 """Events -> what they declare to draw; also for those that a config names by their path."""
+_TAKE_STRENGTH: set[Callable[..., Any]] = set()
+"""Events on which `strength` acts; also those that a config names by their path."""
 SHAPES: dict[str, TermSpec] = {}
 """Every registered shape by name; filled with the terms."""
 REDUCERS = (
@@ -406,6 +417,7 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
         open_params=any(p.kind is inspect.Parameter.VAR_KEYWORD for p in rest),
         lead=of_quantity,
         draws=_DRAWS.get(func) if kind == "event" else None,
+        takes_strength=kind == "event" and func in _TAKE_STRENGTH,
     )
     unknown = [name for name in spec.draws_params.values() if name not in spec.params]
     if unknown:

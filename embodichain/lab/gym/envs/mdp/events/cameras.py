@@ -32,6 +32,11 @@ def _camera_id(env: TermContext, name: str) -> int:
     Raises:
         ConfigError: If there is none with this name.
     """
+    sensor = env.sensors.get(name)
+    if getattr(sensor, "eyes", None):
+        return int(
+            env.sensors[name].eyes[0]
+        )  # it may be a camera of a file, which has another name
     model = env.sim.engine.model
     cameras = [model.camera(i).name for i in range(model.ncam)]
     if name not in cameras:
@@ -40,7 +45,7 @@ def _camera_id(env: TermContext, name: str) -> int:
     return cameras.index(name)
 
 
-@register_term("event", name="randomize_camera_pose")
+@register_term("event", name="randomize_camera_pose", takes_strength=True)
 class RandomizeCameraPose(Term):
     """Moves and rotates a camera of the scene, separately in each environment.
 
@@ -80,8 +85,8 @@ class RandomizeCameraPose(Term):
             model = self._engine.model
             self._pos0 = np.array(model.cam_pos[self._id], np.float64)
             self._quat0 = np.tile(model.cam_quat[self._id], (env.num_envs, 1))
-        self._move = Uniform.within("position", position_range)
-        self._turn = Uniform.within("rotation", rotation_range, degrees=True)
+        self._move = Uniform.within("position", position_range, default=0.0)
+        self._turn = Uniform.within("rotation", rotation_range, degrees=True, default=0.0)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the camera's pose in these environments."""
@@ -113,7 +118,7 @@ class RandomizeCameraPose(Term):
         stereo.write_local_pose(pos, quat, env_ids)
 
 
-@register_term("event", name="randomize_camera_fovy")
+@register_term("event", name="randomize_camera_fovy", takes_strength=True)
 class RandomizeCameraFovy(Term):
     """Sets a random vertical field of view of a camera, separately in each environment.
 
@@ -135,7 +140,8 @@ class RandomizeCameraFovy(Term):
         if self._engine.model.cam_sensorsize[self._id].any():
             message = f"{camera!r} has intrinsics, which MuJoCo takes instead of a field of view"
             raise ConfigError([Problem("camera", message, "Use randomize_camera_intrinsics.")])
-        self._fovy = Uniform("fovy", [low], [high])
+        declared = float(self._engine.model.cam_fovy[self._id])
+        self._fovy = Uniform("fovy", [low], [high], default=declared)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the field of view of these environments."""
@@ -143,7 +149,7 @@ class RandomizeCameraFovy(Term):
         self._engine.write_model("cam_fovy", drawn, env_ids, slice(self._id, self._id + 1))
 
 
-@register_term("event", name="randomize_camera_intrinsics")
+@register_term("event", name="randomize_camera_intrinsics", takes_strength=True)
 class RandomizeCameraIntrinsics(Term):
     """Adds random numbers to the intrinsics of a camera sensor, separately in each environment.
 
@@ -192,7 +198,7 @@ class RandomizeCameraIntrinsics(Term):
                 message = f"the declared one is {shortest:g} pixels: it would not stay positive"
                 raise ConfigError([Problem(f"{name}_range", message)])
         self._change_of_column = {
-            column: Uniform(name, [bounds[0]], [bounds[1]])
+            column: Uniform(name, [bounds[0]], [bounds[1]], default=0.0)
             for column, (name, bounds) in enumerate(ranges.items())
             if bounds is not None
         }

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["EncoderBias"]
 
 
-@register_term("event", name="encoder_bias")
+@register_term("event", name="encoder_bias", takes_strength=True)
 class EncoderBias(Term):
     """Draws the error of each joint's encoder, in each environment: U(bias_range).
 
@@ -44,7 +44,9 @@ class EncoderBias(Term):
         self._asset = entity_cfg.articulation
         self._joints: NDArray[np.int64] = np.asarray(entity_cfg.joint_ids, np.int64)
         count = len(self._joints)
-        self._bias = Uniform("bias", *(np.full(count, end) for end in bias_range))
+        self._bias = Uniform(
+            "bias", np.full(count, bias_range[0]), np.full(count, bias_range[1]), default=0.0
+        )
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw the errors of these environments' encoders."""

@@ -51,15 +51,17 @@ __all__ = [
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
-def six_axes(name: str, ranges: Mapping[Any, Sequence[float]] | None) -> Uniform | None:
+def six_axes(
+    name: str, ranges: Mapping[Any, Sequence[float]] | None, default: float | None = None
+) -> Uniform | None:
     """A draw of shape (6,) from a map from axes to [low, high]; absent axes are 0.
 
-    None if the map is empty.
+    None if the map is empty. `default` is that of `Uniform`.
     """
     if not ranges:
         return None
     low, high = np.array([ranges.get(axis, (0.0, 0.0)) for axis in AXES], np.float64).T
-    return Uniform(name, low, high)
+    return Uniform(name, low, high, default)
 
 
 def need_free_root(entity: ResolvedEntity) -> None:

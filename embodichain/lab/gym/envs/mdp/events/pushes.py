@@ -87,7 +87,7 @@ class EpisodeTimer:
         return Uniform(name, [bounds[0]], [bounds[1]])
 
 
-@register_term("event", name="push_by_setting_velocity")
+@register_term("event", name="push_by_setting_velocity", takes_strength=True)
 class PushBySettingVelocity(Term):
     """Adds a random velocity to that of an entity's root: an instantaneous push.
 
@@ -105,7 +105,7 @@ class PushBySettingVelocity(Term):
     def __init__(self, env: TermContext, entity_cfg: Whole, velocity_range: Axes6) -> None:
         need_free_root(entity_cfg)
         self._asset = entity_cfg.asset
-        push = six_axes("velocity", velocity_range)
+        push = six_axes("velocity", velocity_range, default=0.0)
         if push is None:
             raise ConfigError([Problem("velocity_range", "names no axis: nothing is pushed")])
         self._push = push
@@ -119,7 +119,7 @@ class PushBySettingVelocity(Term):
         write_root_velocity(self._asset, velocity + push, env_ids)
 
 
-@register_term("event", name="apply_external_force_torque")
+@register_term("event", name="apply_external_force_torque", takes_strength=True)
 class ApplyExternalForceTorque(Term):
     """Applies a random force and torque to bodies, until its next call or a reset.
 
@@ -163,7 +163,7 @@ class ApplyExternalForceTorque(Term):
         )
         low, high = ([force_range[i]] * 3 + [torque_range[i]] * 3 for i in (0, 1))
         count = len(bodies)
-        self._wrench = Uniform("wrench", np.tile(low, count), np.tile(high, count))
+        self._wrench = Uniform("wrench", np.tile(low, count), np.tile(high, count), default=0.0)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the forces of these environments."""
@@ -184,7 +184,7 @@ class ApplyExternalForceTorque(Term):
         return np.concatenate([no_forces, moments], axis=2).reshape(len(wrenches), -1)
 
 
-@register_term("event", name="apply_body_impulse")
+@register_term("event", name="apply_body_impulse", takes_strength=True)
 class ApplyBodyImpulse(ApplyExternalForceTorque):
     """Applies a random force and torque to bodies for a random time, then none, repeatedly.
 

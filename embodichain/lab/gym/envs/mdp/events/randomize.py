@@ -75,7 +75,7 @@ def _declared_draws(
             yield PhysicsDraw(entity, "com")
 
 
-@register_term("event", name="randomize", draws=_declared_draws)
+@register_term("event", name="randomize", draws=_declared_draws, takes_strength=True)
 class Randomize:
     """Draws model fields of an entity, or of the scene, separately in each environment.
 
@@ -368,6 +368,24 @@ class DrawnField:
             return self.default * drawn
         return drawn
 
+    def weaken(self, values: Floats, strength: float) -> Floats:
+        """Values (..., m) nearer to the compiled ones, as `EventCfg.strength` says.
+
+        Raises:
+            ConfigError: If there is nothing to be nearer to: no finite compiled value, or a factor
+                below 0.
+        """
+        if not np.isfinite(self.default).all():
+            message = "strength needs a compiled value, and there is no limit; use strength: 1"
+            raise ConfigError([Problem(self.param, message)])
+        if self.operation != "scale":
+            return self.default + strength * (values - self.default)
+        if min(self.factors[0].min(initial=0.0), self.factors[1].min(initial=0.0)) < 0.0:
+            message = "strength needs factors that are not negative"
+            raise ConfigError([Problem(self.param, message)])
+        nonzero_default = np.where(self.default == 0.0, 1.0, self.default)  # 0 stays 0
+        return self.default * (values / nonzero_default) ** strength
+
 
 def _read_ranges(param: str, ranges: Any, names: Sequence[str]) -> tuple[Floats, Floats]:
     """Lower and upper bounds (k,) each; NaN for names that no key matches. Later keys win."""
@@ -405,6 +423,8 @@ class FieldDraw:
         self._fields = list(fields.values())
         self._is_normal = distribution == "gaussian"
         self._is_log = distribution == "log_uniform"
+        # Logarithms are logged as they are drawn: `strength` acts on the values.
+        self._weaken = {} if self._is_log else {name: f.weaken for name, f in fields.items()}
         # The columns of each field in what is drawn.
         self._columns: dict[str, slice] = {}
         start = 0
@@ -428,8 +448,9 @@ class FieldDraw:
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> list[Floats]:
         """Values (n, m) of every field; do not write into them."""
-        drawn = env.event_manager.draw_columns(
-            self._columns, self._low, self._high, env_ids, self._is_normal
+        draws = env.event_manager
+        drawn = draws.draw_columns(
+            self._columns, self._low, self._high, env_ids, self._is_normal, self._weaken
         )
         slices = self._columns.values()
         if not self._is_log:
@@ -437,4 +458,8 @@ class FieldDraw:
         # Rounding of log and exp must not leave the range.
         factors = np.clip(np.exp(contiguous(drawn)), self._lowest_factor, self._highest_factor)
         pairs = zip(self._fields, slices, strict=True)
-        return [field.apply(factors[:, columns]) for field, columns in pairs]
+        values = [field.apply(factors[:, columns]) for field, columns in pairs]
+        if draws.strength == 1.0:
+            return values
+        fields_and_values = zip(self._fields, values, strict=True)
+        return [field.weaken(value, draws.strength) for field, value in fields_and_values]

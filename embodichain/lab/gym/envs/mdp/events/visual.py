@@ -13,6 +13,8 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._rows import norm
+from embodichain.lab.sim.compiler.names import SUN
+from embodichain.lab.sim.configs.scene_cfg import LightCfg
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.arrays import rows_at
 from embodichain.utils.errors import ConfigError, Problem
@@ -21,6 +23,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.objects.light import Light
     from embodichain.utils.array_types import Floats
 
 __all__ = [
@@ -31,6 +34,8 @@ __all__ = [
 ]
 
 _HIDDEN_GROUP = 3
+_NO_GEOM_COLOR = (0.5, 0.5, 0.5, 1.0)
+"""MuJoCo's default of a geom's colour, for which it draws the material's."""
 
 
 class _Surface:
@@ -53,6 +58,7 @@ class _Surface:
         visible_geoms = [int(geom) for geom in geoms if model.geom_group[geom] < _HIDDEN_GROUP]
         if not visible_geoms:
             raise ConfigError([Problem("entity_cfg", f"nothing of {entity.uid!r} is visible")])
+        self._geoms = visible_geoms
         self._materials = sorted({int(model.geom_matid[geom]) for geom in visible_geoms})
         self.is_object = not entity.is_articulation and entity.kind != "geom"
         if self.is_object:
@@ -63,11 +69,37 @@ class _Surface:
             rows = visible_geoms
         # Red, green and blue, of four columns each: opacity does not change.
         self._columns: NDArray[np.int64] = np.concatenate([4 * row + np.arange(3) for row in rows])
+        self._seen_colors = self._compiled_colors()
 
-    def paint(self, rgb: Floats, env_ids: EnvIndex | None) -> None:
-        """Set the colours (n, 3) of all shapes; opacity does not change."""
+    def _compiled_colors(self) -> Floats:
+        """(3 k,) the colours that are seen of the shapes: a material's where a geom has none."""
+        model = self._engine.model
+        if self._color_field == "mat_rgba":
+            return np.asarray(model.mat_rgba[self._materials, :3], np.float64).reshape(-1)
+        colors: list[Floats] = []
+        for geom in self._geoms:
+            rgba = model.geom_rgba[geom]
+            material = model.geom_matid[geom]
+            if material >= 0 and (rgba == _NO_GEOM_COLOR).all():
+                rgba = model.mat_rgba[material]
+            colors.append(np.asarray(rgba[:3], np.float64))
+        return np.concatenate(colors)
+
+    def paint(self, rgb: Floats, env_ids: EnvIndex | None, strength: float = 1.0) -> None:
+        """Set the colours (n, 3) of all shapes; opacity does not change.
+
+        Args:
+            rgb: The colours at strength 1.
+            env_ids: (n,) environments, or None for all.
+            strength: See `EventCfg.strength`; 0 is the compiled colours.
+        """
         count = len(self._columns) // 3
         colors = np.tile(rgb, (1, count))
+        if strength == 0.0:
+            compiled = getattr(self._engine.model, self._color_field).reshape(-1)
+            colors = np.tile(np.asarray(compiled[self._columns], np.float64), (len(rgb), 1))
+        elif strength < 1.0:
+            colors = self._seen_colors + strength * (colors - self._seen_colors)
         self._engine.write_model(self._color_field, colors, env_ids, self._columns)
 
     def fade(self, alpha: float, env_ids: EnvIndex | None) -> None:
@@ -92,6 +124,11 @@ class _Surface:
             self._write("mat_specular", 0.5 * (1.0 - roughness), env_ids)
             self._write("mat_shininess", 1.0 - roughness, env_ids)
 
+    def compiled_finish(self, name: str) -> float:
+        """The compiled ``metallic`` or ``roughness`` of an object, which has one material."""
+        values = getattr(self._engine.model, f"mat_{name}")
+        return float(values[self._materials[0]])
+
     def emit(self, strength: float, env_ids: EnvIndex | None) -> None:
         """Set an object's emission."""
         self._write("mat_emission", strength, env_ids)
@@ -105,7 +142,7 @@ class _Surface:
             self._engine.write_model(field, values, env_ids, slice(start, start + 1))
 
 
-@register_term("event", name="randomize_texture")
+@register_term("event", name="randomize_texture", takes_strength=True)
 class RandomizeTexture(Term):
     """Draws one of an object's textures in each environment.
 
@@ -127,7 +164,8 @@ class RandomizeTexture(Term):
             message = f"{entity_cfg.uid!r} has no shape.visual_material.textures"
             raise ConfigError([Problem("entity_cfg.uid", message)])
         self._ids = np.array(ids, np.float64)
-        self._index = Uniform("texture", [0.0], [float(len(ids))])
+        # At a strength below 1 the first ones are drawn more often; at 0 it is always the first.
+        self._index = Uniform("texture", [0.0], [float(len(ids))], default=0.0)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the texture of the object in these environments."""
@@ -144,7 +182,7 @@ def _check_unit_interval(name: str, values: Any) -> None:
         raise ConfigError([Problem(name, f"must be within [0, 1], got {values}")])
 
 
-@register_term("event", name="randomize_visual_material")
+@register_term("event", name="randomize_visual_material", takes_strength=True)
 class RandomizeVisualMaterial(Term):
     """Sets a random colour, roughness and metallic value of an entity in each environment.
 
@@ -197,12 +235,14 @@ class RandomizeVisualMaterial(Term):
             if not self._surface.is_object:
                 message = "only of whole rigid objects: geoms and links share materials"
                 raise ConfigError([Problem(f"{name}_range", message)])
-            self._finish.append(Uniform(name, [bounds[0]], [bounds[1]]))
+            compiled = self._surface.compiled_finish(name)
+            self._finish.append(Uniform(name, [bounds[0]], [bounds[1]], default=compiled))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the look of the entity in these environments."""
         if self._color is not None:
-            self._surface.paint(self._color(env.event_manager, env_ids), env_ids)
+            draws = env.event_manager
+            self._surface.paint(self._color(draws, env_ids), env_ids, draws.strength)
         drawn = {value.name: value(env.event_manager, env_ids) for value in self._finish}
         self._surface.finish(drawn.get("metallic"), drawn.get("roughness"), env_ids)
 
@@ -243,14 +283,46 @@ class SetRigidObjectVisualMaterial(Term):
         surface.emit(float(cfg.emissive_intensity) * float(max(cfg.emissive)), env_ids)
 
 
-@register_term("event", name="randomize_light")
+def _light_called(env: TermContext, uid: str) -> Light:
+    """The handle of a declared light, or of the sun.
+
+    Raises:
+        ConfigError: If there is no such light.
+    """
+    from embodichain.lab.sim.objects import light as light_handle  # imports torch
+
+    lights = env.sim.lights
+    if uid in lights:
+        return lights[uid]
+    model = env.sim.engine.model
+    compiled_names = [model.light(i).name for i in range(model.nlight)]
+    if uid != SUN or lights or SUN not in compiled_names:
+        there_are = list(lights) or [name for name in compiled_names if name == SUN]
+        message = f"no light is called {uid!r}; there are: {', '.join(there_are) or 'none'}"
+        hint = did_you_mean(uid, there_are).strip()
+        raise ConfigError([Problem("entity_cfg.uid", message, hint)])
+    sun = model.light(SUN)
+    brightest = float(sun.diffuse.max())
+    cfg = LightCfg(
+        light_type="directional",
+        color=tuple(float(channel) / brightest for channel in sun.diffuse),
+        intensity=light_handle.FULL_INTENSITY * brightest,
+        direction=tuple(float(component) for component in sun.dir),
+    )
+    handle = light_handle.Light(cfg, SUN, env.sim)
+    handle.bind(env.sim.engine, sun.id)
+    return handle
+
+
+@register_term("event", name="randomize_light", takes_strength=True)
 class RandomizeLight(Term):
     """Changes position, colour and intensity of a declared light, separately per environment.
 
     EmbodiChain's event of the same name (where all environments share a light).
 
     Args:
-        entity_cfg: A light of the task's section `lights`.
+        entity_cfg: A light of the task's section `lights`; `default` is the sun of a scene that
+            declares none.
         position_range: [[x, y, z] low, [x, y, z] high] in metres, added to the declared position.
         color_range: [[r, g, b] low, [r, g, b] high] in [0, 1]: the colour itself.
         intensity_range: [low, high], added to the declared intensity; never below 0. 30 is
@@ -271,24 +343,19 @@ class RandomizeLight(Term):
         intensity_range: Range | None = None,
         direction_range: Box3 | None = None,
     ) -> None:
-        uid = entity_cfg.uid
-        lights = env.sim.lights
-        if uid not in lights:
-            message = f"no light is called {uid!r}; there are: {', '.join(lights) or 'none'}"
-            hint = did_you_mean(uid, lights).strip()
-            raise ConfigError([Problem("entity_cfg.uid", message, hint)])
         if color_range is not None and not all(0 <= c <= 1 for row in color_range for c in row):
             raise ConfigError([Problem("color_range", f"RGB in [0, 1], got {color_range}")])
-        self._light = lights[uid]
+        self._light = _light_called(env, entity_cfg.uid)
         cfg = self._light.cfg
-        self._pos0: Floats = np.array(env.sim.engine.model.light(uid).pos, np.float64)
+        compiled_light = env.sim.engine.model.light(entity_cfg.uid)
+        self._pos0: Floats = np.array(compiled_light.pos, np.float64)
         self._dir0: Floats = np.asarray(cfg.direction, np.float64)
         self._color0: Floats = np.asarray(cfg.color, np.float64)
         self._intensity0 = float(cfg.intensity)
-        self._move = Uniform.within("position", position_range)
-        self._turn = Uniform.within("direction", direction_range)
-        self._color = Uniform.within("color", color_range)
-        self._intensity = Uniform.within("intensity", intensity_range)
+        self._move = Uniform.within("position", position_range, default=0.0)
+        self._turn = Uniform.within("direction", direction_range, default=0.0)
+        self._color = Uniform.within("color", color_range, default=self._color0)
+        self._intensity = Uniform.within("intensity", intensity_range, default=0.0)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the light of these environments."""

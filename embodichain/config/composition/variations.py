@@ -1,0 +1,468 @@
+"""Variations: named bundles of events, noise and delays with a strength, merged into a task.
+
+A variation is an entry ``task.variations.NAME``: files of the group `variation` are placed there.
+After composing, `merge_variations` makes of each entry what the task's own sections take:
+
+* an event becomes an event of the task, with ``for_each`` one for each entity of a kind;
+* `noise` and `delay` of an observation or action become those of the task's own term, with ``each``
+  those of every term.
+
+What two of them set, or one of them and the task, is a mistake: neither wins in silence.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.fields.type_errors import show_value, unknown_key
+from embodichain.utils.suggest import did_you_mean, listing
+
+__all__ = ["Merged", "merge_variations"]
+
+Tree = dict[str, Any]
+EACH = "each"
+"""In an event with `for_each` the entity's name; in `observations` and `actions` every term."""
+_KEYS = ("description", "strength", "events", "observations", "actions")
+_DISTURBANCES = ("noise", "delay")
+_REFERENCES = ("of", "entity_cfg", "camera", "sensor")
+"""Parameters of an event that say what it changes."""
+_ADDING = ("push_by_setting_velocity", "push_articulation_by_setting_velocity")
+"""Events that add to what there is, so that several of them may act on one entity."""
+
+
+@dataclass(frozen=True)
+class Merged:
+    """A config whose variations are a part of its task.
+
+    Attributes:
+        tree: The config, without ``task.variations``.
+        origins: Key path of what was merged -> its key path in a variation.
+        problems: The mistakes.
+        notes: Parts of variations that change nothing in this task.
+    """
+
+    tree: Tree
+    origins: dict[str, str] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    notes: list[Problem] = field(default_factory=list)
+
+
+def merge_variations(tree: Mapping[str, Any], source: Callable[[str], str]) -> Merged:
+    """Return a copy of a composed config whose task has its variations merged.
+
+    Args:
+        tree: Plain dicts and lists.
+        source: Function from a key path to where the key was set, for messages.
+    """
+    merged = Merged(copy.deepcopy(dict(tree)))
+    task = merged.tree.get("task")
+    if not isinstance(task, dict) or "variations" not in task:
+        return merged
+    variations = task.pop("variations")
+    if variations is None:
+        return merged
+    if not isinstance(variations, dict):
+        message = f"expected a map, got {show_value(variations)}"
+        merged.problems.append(Problem("task.variations", message))
+        return merged
+    merger = _Merger(merged, task, source)
+    for name, variation in variations.items():
+        if variation is not None:  # null takes an inherited one out
+            merger.add(name, variation)
+    merger.check_fields()
+    return merged
+
+
+class _Field(NamedTuple):
+    """What an event sets.
+
+    Attributes:
+        func: The event.
+        reference: The entity, camera or sensor; empty for the scene.
+        param: The parameter with the range.
+    """
+
+    func: str
+    reference: str
+    param: str
+
+
+class _Merger:
+    """Merges variations into one task, in place.
+
+    Args:
+        merged: The result; the task is a part of its tree.
+        task: The task.
+        source: Function from a key path to where the key was set.
+    """
+
+    def __init__(self, merged: Merged, task: Tree, source: Callable[[str], str]) -> None:
+        self._merged = merged
+        self._task = task
+        self._source = source
+        # Key path of noise or delay for each term -> the terms that have their own.
+        self._left_alone: dict[str, list[str]] = {}
+
+    def add(self, name: str, variation: Any) -> None:
+        """Merge one variation; mistakes are collected."""
+        path = f"task.variations.{name}"
+        if not isinstance(variation, dict):
+            self._report(path, f"expected a map, got {show_value(variation)}")
+            return
+        for key in variation:
+            if key not in _KEYS:
+                message, hint = unknown_key(str(key), _KEYS)
+                self._report(f"{path}.{key}", message, hint)
+        strength = self._strength(variation.get("strength", 1.0), f"{path}.strength")
+        changes_before = len(self._merged.origins) + len(self._merged.problems)
+        self._left_alone = {}
+        for key, event in self._entries(variation, "events", path):
+            self._add_event(key, event, f"{path}.events.{key}", strength)
+        for section in ("observations", "actions"):
+            for key, disturbance in self._entries(variation, section, path):
+                where = f"{path}.{section}.{key}"
+                self._disturb(section, key, disturbance, where, strength)
+        for where, terms in self._left_alone.items():
+            self._note(where, f"does not change that of {listing(terms)}, which the task sets")
+        if len(self._merged.origins) + len(self._merged.problems) == changes_before:
+            self._note(path, "changes nothing: this task has none of what it is about")
+
+    def _entries(self, variation: Tree, section: str, path: str) -> Iterator[tuple[str, Tree]]:
+        """The entries of a section; null ones are left out."""
+        entries = variation.get(section)
+        if entries is not None and not isinstance(entries, dict):
+            self._report(f"{path}.{section}", f"expected a map, got {show_value(entries)}")
+            return
+        for key, entry in (entries or {}).items():
+            if isinstance(entry, dict):
+                yield key, entry
+            elif entry is not None:
+                message = f"expected a map, got {show_value(entry)}"
+                self._report(f"{path}.{section}.{key}", message)
+
+    def _strength(self, value: Any, path: str) -> float:
+        """A strength, 1 if it is wrong."""
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number:
+            self._report(path, f"expected a number, got {show_value(value)}")
+            return 1.0
+        if not 0.0 <= value <= 1.0:
+            self._report(path, f"must be within [0, 1], got {value}")
+            return 1.0
+        return float(value)
+
+    def _report(self, path: str, message: str, hint: str = "") -> None:
+        self._merged.problems.append(Problem(path, message, hint))
+
+    def _note(self, path: str, message: str) -> None:
+        self._merged.notes.append(Problem(path, message, source=self._source(path)))
+
+    # -- events --------------------------------------------------------------------------------
+
+    def _add_event(self, key: str, event: Tree, path: str, strength: float) -> None:
+        """Add an event to the task, or one for each entity."""
+        declared = copy.deepcopy(event)
+        kind = declared.pop("for_each", None)
+        if strength != 1.0:
+            own = self._strength(declared.get("strength", 1.0), f"{path}.strength")
+            declared["strength"] = strength * own
+        if kind is None:
+            self._insert_event(key, declared, path)
+            return
+        if kind not in _ENTITIES:
+            hint = did_you_mean(str(kind), _ENTITIES).strip()
+            message = f"expected one of {', '.join(_ENTITIES)}, got {show_value(kind)}"
+            self._report(f"{path}.for_each", message, hint)
+            return
+        for uid in _ENTITIES[kind](self._task):
+            self._insert_event(f"{key}_{uid}", _named(declared, uid), path)
+
+    def _insert_event(self, name: str, event: Tree, path: str) -> None:
+        events = self._task.setdefault("events", {})
+        if not isinstance(events, dict):
+            return  # the check of types reports it
+        if name in events:
+            message = f"the task has an event {name!r} already ({self._place('events', name)})"
+            self._report(path, message)
+            return
+        events[name] = event
+        self._merged.origins[f"task.events.{name}"] = path
+
+    def _place(self, section: str, name: str) -> str:
+        """Where an entry of the task was set, before or by a variation."""
+        path = f"task.{section}.{name}"
+        return self._source(self._merged.origins.get(path, path))
+
+    def check_fields(self) -> None:
+        """Report events of variations that set what another event sets."""
+        events = self._task.get("events")
+        if not self._merged.origins or not isinstance(events, dict):
+            return
+        fields = {name: _fields_of(event) for name, event in events.items()}
+        for first, second in itertools.combinations(fields, 2):
+            path = self._merged.origins.get(f"task.events.{second}")
+            if path is None:  # the task's own events come first
+                continue
+            for each in sorted(fields[first] & fields[second]):
+                what = f"{each.param} of {each.reference}" if each.reference else each.param
+                message = (
+                    f"sets {what}, as the event {first!r} does ({self._place('events', first)})"
+                )
+                hint = f"Take one out: ~task.events.{first}."
+                if f"task.events.{first}" in self._merged.origins:
+                    hint = "Use one of them."
+                self._report(path, message, hint)
+
+    # -- noise and delay -----------------------------------------------------------------------
+
+    def _disturb(
+        self, section: str, key: str, disturbance: Tree, path: str, strength: float
+    ) -> None:
+        """Give noise and delay to a term of the task, or to each one."""
+        weakened: Tree = {}
+        for name, value in disturbance.items():
+            if name not in _DISTURBANCES:
+                message, hint = unknown_key(str(name), _DISTURBANCES)
+                self._report(f"{path}.{name}", message, hint)
+                continue
+            try:
+                weakened[name] = _WEAKEN[name](value, strength)
+            except (TypeError, ValueError) as error:
+                self._report(f"{path}.{name}", str(error))
+        terms = self._task.get(section)
+        if not isinstance(terms, dict):
+            terms = {}
+        names = [key]
+        if key == EACH:
+            names = list(self._disturbed_terms(section, terms))
+        elif key not in terms:
+            hint = did_you_mean(key, [*terms, EACH]).strip()
+            message = f"the task has no such term; there are: {listing([*terms, EACH], key)}"
+            self._report(path, message, hint)
+            return
+        for name in names:
+            self._set_keys(section, name, weakened, path, is_each=key == EACH)
+
+    def _disturbed_terms(self, section: str, terms: Tree) -> Iterator[str]:
+        """The terms that `each` means: of observations the policy's, without pictures."""
+        for name, term in terms.items():
+            if not isinstance(term, dict):
+                continue
+            if section == "actions":
+                yield name
+                continue
+            is_read_by_policy = term.get("group", "policy") == "policy"
+            is_modifier = term.get("mode", "add") == "modify"
+            if is_read_by_policy and not is_modifier and not self._is_picture(term):
+                yield name
+
+    def _is_picture(self, term: Tree) -> bool:
+        """Whether an observation is what a camera sees."""
+        params = term.get("params")
+        sensors = self._task.get("sensors")
+        if not isinstance(params, dict) or not isinstance(sensors, dict):
+            return False
+        return params.get("sensor") in _cameras(self._task)
+
+    def _set_keys(self, section: str, name: str, keys: Tree, path: str, *, is_each: bool) -> None:
+        """Set keys of a term that has none of them.
+
+        Args:
+            section: ``observations`` or ``actions``.
+            name: The term.
+            keys: Its `noise` and `delay`.
+            path: Where a variation has them.
+            is_each: Whether they are meant for every term: those of the task's own then stay.
+        """
+        term = self._task[section][name]
+        if not isinstance(term, dict):
+            return  # the check of types reports it
+        for key, value in keys.items():
+            target = f"task.{section}.{name}.{key}"
+            if term.get(key) in (None, 0):
+                term[key] = copy.deepcopy(value)
+                self._merged.origins[target] = f"{path}.{key}"
+                continue
+            place = self._source(self._merged.origins.get(target, target))
+            is_of_task = target not in self._merged.origins
+            if is_each and is_of_task:
+                self._left_alone.setdefault(f"{path}.{key}", []).append(name)
+            else:
+                self._report(f"{path}.{key}", f"{target} is set already ({place})")
+
+
+def _fields_of(event: Any) -> set[_Field]:
+    """What an event sets; empty if it is unknown, or adds to what there is."""
+    if not isinstance(event, dict) or not isinstance(event.get("func"), str):
+        return set()
+    params = event.get("params")
+    if not isinstance(params, dict) or event["func"] in _ADDING:
+        return set()
+    func, names = _target_of(event["func"])
+    references = [params[key] for key in _REFERENCES if key in params]
+    reference = ", ".join(map(_reference_text, references))
+    return {
+        _Field(func, reference, names.get(str(key), str(key)))
+        for key, value in params.items()
+        if key not in _REFERENCES and isinstance(value, list | dict)
+    }
+
+
+def _target_of(func: str) -> tuple[str, dict[str, str]]:
+    """The event that another name stands for, and its parameters by those of the name."""
+    from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
+    from embodichain.lab.gym.envs.managers.terms.registry import resolve_term
+
+    try:
+        spec = resolve_term("event", func, allow_import=False)
+    except ConfigError:  # the check of terms reports it
+        return func, {}
+    if not isinstance(spec, AliasSpec):
+        return spec.name, {}
+    return spec.target.name, {name: key for name, (_, key) in spec.exposed.items()}
+
+
+def _reference_text(reference: Any) -> str:
+    """A reference as text: ``cube``, ``robot [tool]``."""
+    if not isinstance(reference, dict):
+        return str(reference)
+    uid = str(reference.get("uid", ""))
+    picked = [value for key, value in sorted(reference.items()) if key != "uid"]
+    return " ".join([uid, *map(str, picked)])
+
+
+def _named(value: Any, uid: str) -> Any:
+    """A copy of an event's entry with the entity's name in place of `EACH`."""
+    if isinstance(value, dict):
+        return {key: _named(part, uid) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_named(part, uid) for part in value]
+    return uid if value == EACH else value
+
+
+# -- the entities that `for_each` names ----------------------------------------------------------
+
+
+def _section(task: Tree, name: str) -> Tree:
+    entries = task.get(name)
+    return entries if isinstance(entries, dict) else {}
+
+
+def _dynamic_objects(task: Tree) -> list[str]:
+    objects = _section(task, "objects")
+    return [
+        uid
+        for uid, cfg in objects.items()
+        if isinstance(cfg, dict) and cfg.get("body_type", "dynamic") == "dynamic"
+    ]
+
+
+def _objects(task: Tree) -> list[str]:
+    return list(_section(task, "objects"))
+
+
+def _robots(task: Tree) -> list[str]:
+    robot = task.get("robot")
+    uids = list(_section(task, "robots"))
+    if isinstance(robot, dict) and isinstance(robot.get("uid"), str):
+        uids.insert(0, robot["uid"])
+    return uids
+
+
+def _floating_robots(task: Tree) -> list[str]:
+    robots = _section(task, "robots")
+    uids = [
+        uid for uid, cfg in robots.items() if isinstance(cfg, dict) and cfg.get("fix_base") is False
+    ]
+    robot = _section(task, "robot")
+    if robot.get("fix_base") is False and isinstance(robot.get("uid"), str):
+        uids.insert(0, robot["uid"])
+    return uids
+
+
+def _lights(task: Tree) -> list[str]:
+    from embodichain.lab.sim.compiler.names import SUN
+
+    scene = _section(task, "scene")
+    declared = [*_section(scene, "lights"), *_section(task, "lights")]
+    if not declared and scene.get("fpath") is None:  # a file may have lights of its own
+        return [SUN]
+    return declared
+
+
+def _cameras(task: Tree) -> list[str]:
+    from embodichain.lab.sim.configs.sensor_cfg import SENSORS
+
+    cameras: list[str] = []
+    for name, cfg in _section(task, "sensors").items():
+        kind = cfg.get("sensor_type") if isinstance(cfg, dict) else None
+        if isinstance(kind, str) and kind in SENSORS and SENSORS[kind].config.reads_images:
+            cameras.append(name)
+    return cameras
+
+
+_ENTITIES: dict[str, Callable[[Tree], list[str]]] = {
+    "objects": _objects,
+    "dynamic_objects": _dynamic_objects,
+    "robots": _robots,
+    "floating_robots": _floating_robots,
+    "lights": _lights,
+    "cameras": _cameras,
+}
+"""Value of `for_each` -> the names of the task's entities of this kind."""
+
+
+# -- strength of noise and delay -----------------------------------------------------------------
+
+
+def _weaken_noise(noise: Any, strength: float) -> Any:
+    """A noise whose result is default + strength x (noisy - default)."""
+    if strength == 1.0 or not isinstance(noise, dict):
+        return noise
+    operation = noise.get("operation", "add")
+    if operation == "abs":
+        raise ValueError("operation: abs replaces the value, so that strength has no meaning")
+    weakened = dict(noise)
+    for key in ("std", "mean", "low", "high", "n_min", "n_max", "bias"):
+        if weakened.get(key) is None:
+            continue
+        is_factor = operation == "scale" and key != "std"
+        weakened[key] = _weaken_numbers(weakened[key], strength, is_factor=is_factor)
+    if operation == "scale" and "std" in weakened and weakened.get("mean") is None:
+        weakened["mean"] = 1.0
+    return weakened
+
+
+def _weaken_numbers(value: Any, strength: float, *, is_factor: bool) -> Any:
+    """A number, or a list or map of numbers, nearer to 0; of factors nearer to 1."""
+    if isinstance(value, list):
+        return [_weaken_numbers(part, strength, is_factor=is_factor) for part in value]
+    if isinstance(value, dict):
+        return {k: _weaken_numbers(v, strength, is_factor=is_factor) for k, v in value.items()}
+    if not isinstance(value, int | float):
+        raise TypeError(f"expected a number, got {show_value(value)}")
+    if not is_factor:
+        return strength * value
+    if value < 0:
+        raise ValueError(f"strength needs factors that are not negative, got {value}")
+    return float(value**strength)
+
+
+def _weaken_delay(delay: Any, strength: float) -> Any:
+    """A delay in control steps, rounded."""
+    if isinstance(delay, list):
+        return [_weaken_delay(steps, strength) for steps in delay]
+    if isinstance(delay, bool) or not isinstance(delay, int):
+        return delay  # the check of types reports it
+    return round(strength * delay)
+
+
+_WEAKEN: Mapping[str, Callable[[Any, float], Any]] = {
+    "noise": _weaken_noise,
+    "delay": _weaken_delay,
+}

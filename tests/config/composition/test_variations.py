@@ -1,0 +1,253 @@
+"""Variations: bundles of events, noise and delays with a strength, merged into any task."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import embodichain
+from embodichain.cli import main
+from embodichain.config.composition.composed import compose, list_options
+from embodichain.config.resolved import resolve
+from embodichain.utils.errors import ConfigError
+
+VARIATIONS = list_options("variation")
+STEPS = 12
+
+
+def _problems(*overrides: str, folder: Path | None = None) -> list[str]:
+    with pytest.raises(ConfigError) as error:
+        resolve([*overrides], config_dir=folder)
+    return [str(problem) for problem in error.value.problems]
+
+
+def _write(folder: Path, name: str, entries: Any, package: str | None = None) -> Path:
+    """Write an option of the group `variation` into a user's folder."""
+    file = folder / "variation" / f"{name}.yaml"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    header = f"# @package {package or f'task.variations.{name}'}\n"
+    file.write_text(header + yaml.safe_dump(entries))
+    return folder
+
+
+def _states(task: str, *overrides: str, num_envs: int = 3) -> np.ndarray:
+    """(STEPS, N, nq + nv) states under random actions."""
+    env = embodichain.make(task, num_envs=num_envs, overrides=list(overrides), seed=5)
+    states = []
+    try:
+        env.reset(seed=5)
+        env.action_space.seed(1)
+        for _ in range(STEPS):
+            env.step(env.action_space.sample())
+            engine = env.sim.engine
+            states.append(np.concatenate([engine.state("qpos"), engine.state("qvel")], axis=1))
+    finally:
+        env.close()
+    return np.array(states)
+
+
+def _model_field(name: str, *overrides: str, num_envs: int = 4) -> np.ndarray:
+    """(N, ...) a model field of `push_cube` after a reset."""
+    env = embodichain.make("push_cube", num_envs=num_envs, overrides=list(overrides), seed=5)
+    try:
+        env.reset(seed=5)
+        return np.array(env.sim.engine.model_field(name))
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize("variation", VARIATIONS)
+def test_strength_0_changes_no_bit_of_the_physics(variation: str) -> None:
+    weak = f"task.variations.{variation}.strength=0"
+    plain = _states("push_cube")
+    np.testing.assert_array_equal(_states("push_cube", f"variation=[{variation}]", weak), plain)
+
+
+def test_variations_of_a_walking_robot_change_nothing_at_strength_0() -> None:
+    chosen = ["friction", "mass", "pushes", "delay"]
+    weak = [f"task.variations.{name}.strength=0" for name in chosen]
+    varied = _states("quadruped_velocity", f"variation=[{','.join(chosen)}]", *weak)
+    np.testing.assert_array_equal(varied, _states("quadruped_velocity"))
+
+
+@pytest.mark.parametrize("variation", ["friction", "mass", "delay", "noise"])
+def test_a_variation_changes_the_physics(variation: str) -> None:
+    assert (_states("push_cube", f"variation=[{variation}]") != _states("push_cube")).any()
+
+
+@pytest.mark.parametrize("name", ["geom_friction", "body_mass"])
+def test_strength_acts_on_factors_geometrically(name: str) -> None:
+    variation = {"geom_friction": "friction", "body_mass": "mass"}[name]
+    chosen = f"variation=[{variation}]"
+    default = _model_field(name)
+    drawn = _model_field(name, chosen)
+    half = _model_field(name, chosen, f"task.variations.{variation}.strength=0.5")
+    changed = drawn != default
+    assert changed.any()
+    expected = default[changed] * np.sqrt(drawn[changed] / default[changed])
+    np.testing.assert_allclose(half[changed], expected, rtol=1e-12)
+    np.testing.assert_array_equal(half[~changed], default[~changed])
+
+
+def test_strength_acts_on_offsets_and_values_linearly(tmp_path: Path) -> None:
+    event = {"func": "randomize", "params": {"of": {"uid": "cube"}, "mass": [1.0, 3.0]}}
+    folder = _write(tmp_path, "heavy", {"events": {"mass": event}})
+    masses = []
+    for strength in (0.0, 0.5, 1.0):
+        overrides = ["variation=[heavy]", f"task.variations.heavy.strength={strength}"]
+        env = embodichain.make(
+            "push_cube", num_envs=4, overrides=overrides, seed=5, config_dir=folder
+        )
+        env.reset(seed=5)
+        masses.append(np.array(env.sim.engine.model_field("body_mass")))
+        env.close()
+    default, half, drawn = masses
+    assert (drawn != default).any()
+    np.testing.assert_allclose(half, default + 0.5 * (drawn - default), rtol=1e-12)
+
+
+def test_environment_i_is_varied_alike_in_any_batch() -> None:
+    chosen = "variation=[friction,mass]"
+    many = _model_field("body_mass", chosen, num_envs=4)
+    few = _model_field("body_mass", chosen, num_envs=2)
+    np.testing.assert_array_equal(many[:2], few)
+
+
+def test_variations_become_parts_of_the_task() -> None:
+    chosen = ["friction", "noise", "delay"]
+    composed = compose(["task=push_cube", f"variation=[{','.join(chosen)}]"])
+    task = composed.tree["task"]
+    assert "variations" not in task
+    assert task["events"]["friction_cube"]["params"]["of"] == {"uid": "cube"}
+    assert all(term["noise"] == {"std": 0.01} for term in task["observations"].values())
+    assert all(term["delay"] == [0, 2] for term in task["actions"].values())
+    source = composed.source("task.events.friction_cube.params.friction")
+    assert "variation/friction.yaml" in source
+
+
+def test_noise_and_delay_are_weakened() -> None:
+    overrides = ["variation=[noise,delay]", "task.variations.noise.strength=0.5"]
+    tree = compose(["task=push_cube", *overrides, "task.variations.delay.strength=0.5"]).tree
+    arm = next(iter(tree["task"]["actions"].values()))
+    assert arm["delay"] == [0, 1]
+    assert arm["noise"] == {"std": 0.01}
+
+
+def test_a_task_may_have_variations_of_its_own(tmp_path: Path) -> None:
+    folder = tmp_path / "task"
+    folder.mkdir()
+    (folder / "slippery.yaml").write_text(
+        "defaults:\n  - push_cube\n  - /variation@variations.friction: friction\n  - _self_\n"
+        "variations: {friction: {strength: 0.5}}\n"
+    )
+    tree = compose(["task=slippery"], config_dir=tmp_path).tree
+    assert tree["task"]["events"]["friction_cube"]["strength"] == 0.5
+    removed = compose(["task=slippery", "~task.variations.friction"], config_dir=tmp_path).tree
+    assert "friction_cube" not in removed["task"].get("events", {})
+
+
+@pytest.mark.parametrize(
+    ("entries", "expected"),
+    [
+        ({"strength": 2}, "task.variations.mine.strength: must be within [0, 1], got 2"),
+        ({"strength": "full"}, "task.variations.mine.strength: expected a number, got 'full'"),
+        (
+            {"strenght": 1},
+            "unknown key; allowed: description, strength, events, observations, actions. Did",
+        ),
+        ({"events": []}, "task.variations.mine.events: expected a map, got []"),
+        (
+            {"events": {"a": {"func": "randomize", "for_each": "object"}}},
+            "for_each: expected one of objects,",
+        ),
+        ({"observations": {"qpoz": {"noise": {"std": 1}}}}, "the task has no such term"),
+        ({"actions": {"each": {"clip": [0, 1]}}}, "unknown key; allowed: noise, delay"),
+        (
+            {"strength": 0.5, "events": {"a": {"func": "reset_joints_by_offset", "params": {}}}},
+            "reset_joints_by_offset draws nothing that has a default",
+        ),
+        (
+            {"strength": 0.5, "actions": {"each": {"noise": {"std": 1, "operation": "abs"}}}},
+            "operation: abs replaces the value",
+        ),
+    ],
+)
+def test_a_mistake_in_a_variation_is_reported_once_with_its_place(
+    tmp_path: Path, entries: Any, expected: str
+) -> None:
+    folder = _write(tmp_path, "mine", entries)
+    problems = _problems("task=push_cube", "variation=[mine]", folder=folder)
+    matching = [problem for problem in problems if expected in problem]
+    assert len(matching) == 1, problems
+    assert "mine.yaml:" in matching[0]
+
+
+def test_an_unknown_variation_is_named_with_the_closest_one() -> None:
+    (problem,) = _problems("task=push_cube", "variation=[frictoin]")
+    assert "frictoin" in problem
+    assert "Did you mean 'friction'?" in problem
+
+
+def test_two_variations_that_set_one_field_are_one_mistake(tmp_path: Path) -> None:
+    event = {"func": "randomize", "params": {"of": {"uid": "cube"}, "friction": [0.1, 1.0]}}
+    folder = _write(tmp_path, "ice", {"events": {"ice": event}})
+    (problem,) = _problems("task=push_cube", "variation=[friction,ice]", folder=folder)
+    assert "sets friction of cube, as the event 'friction_cube' does" in problem
+    assert "variation/friction.yaml:" in problem
+    assert "ice.yaml:" in problem
+
+
+def test_another_name_of_a_term_is_the_same_field(tmp_path: Path) -> None:
+    params = {"entity_cfg": {"uid": "cube"}, "mass_range": [0.1, 1.0]}
+    event = {"func": "randomize_rigid_object_mass", "params": params}
+    folder = _write(tmp_path, "light", {"events": {"light": event}})
+    (problem,) = _problems("task=push_cube", "variation=[mass,light]", folder=folder)
+    assert "sets mass of cube, as the event 'mass_cube' does" in problem
+
+
+def test_a_variation_and_the_task_that_set_one_field_are_a_mistake(tmp_path: Path) -> None:
+    event = "{func: randomize, params: {of: {uid: cube}, friction: [1, 2]}}"
+    overrides = ["task=push_cube", "variation=[friction]", f"+task.events.grip={event}"]
+    (problem,) = _problems(*overrides)
+    assert "as the event 'grip' does (command line)" in problem
+    assert "~task.events.grip" in problem
+
+
+def test_two_variations_that_give_noise_to_one_term_are_a_mistake(tmp_path: Path) -> None:
+    folder = _write(tmp_path, "shaky", {"actions": {"each": {"noise": {"std": 0.1}}}})
+    (problem,) = _problems("task=push_cube", "variation=[noise,shaky]", folder=folder)
+    assert "is set already" in problem
+    assert "variation/noise.yaml:" in problem
+
+
+def test_noise_of_the_task_stays_and_is_noted() -> None:
+    notes = compose(["task=quadruped_velocity", "variation=[noise]"]).notes
+    assert ["gravity" in note.message for note in notes] == [True]
+
+
+def test_a_variation_without_effect_is_noted() -> None:
+    notes = compose(["task=cart_pole", "variation=[camera_pose]"]).notes
+    assert [note.path for note in notes] == ["task.variations.camera_pose"]
+
+
+@pytest.mark.parametrize("task", list_options("task"))
+def test_every_variation_can_be_merged_into_every_task(task: str) -> None:
+    for variation in VARIATIONS:
+        composed = compose([f"task={task}", f"variation=[{variation}]"])
+        own = compose([f"task={task}"])
+        new = [p for p in composed.problems if p not in own.problems]
+        collisions = [p for p in new if "set" not in p.message]
+        assert collisions == [], variation
+
+
+def test_a_varied_run_replays_and_repeats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["task=push_cube", "variation=[friction,mass,delay]", "num_envs=2", "max_steps=20"]
+    assert main(["run", *words, "seed=3", "scene_png=false", "quiet=true"]) == 0
+    assert main(["replay", "last", "--verify"]) == 0
+    (config,) = tmp_path.glob("outputs/*/*/config.yaml")
+    task = yaml.safe_load(config.read_text())["task"]
+    assert "variations" not in task
+    assert task["events"]["mass_cube"]["params"]["mass"] == [0.5, 2.0]
