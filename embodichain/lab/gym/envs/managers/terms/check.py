@@ -21,6 +21,7 @@ from embodichain.lab.gym.envs.cfg import (
     LARGEST_WEIGHT,
     ActionTermCfg,
     EnvCfg,
+    EventCfg,
     ObservationCfg,
     SceneEntityCfg,
     TermCfg,
