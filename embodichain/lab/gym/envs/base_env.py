@@ -607,7 +607,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         reward = judge.compute_reward(judged_obs, action, info)
         with episodes.counting(present=False):
             action = self._postprocess_action(action)
-        over = episodes.over()
+        over = episodes.take_truncated()
         if judged_obs is not None and "check_truncated" in self.overridden:
             cut = self.check_truncated(judged_obs, info)
             over |= as_mask(cut, self.num_envs, "check_truncated", self.arrays)
