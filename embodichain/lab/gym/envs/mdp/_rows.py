@@ -66,7 +66,8 @@ def angle_between(a: Floats, b: Floats) -> Floats:
     from embodichain.utils.math import quat_conjugate, quat_multiply
 
     difference = quat_multiply(quat_conjugate(a), b)
-    sine, cosine = norm(difference[:, 1:]), np.abs(difference[:, 0])
+    sine = norm(difference[:, 1:])
+    cosine = np.abs(difference[:, 0])
     return 2.0 * np.arctan2(sine, contiguous(cosine))
 
 

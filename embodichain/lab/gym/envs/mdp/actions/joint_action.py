@@ -542,9 +542,9 @@ class JointAction(JointTerm):
     def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
         """(N, A) the action for joint positions; see `MovesTool`."""
         columns, _ = self._moving
-        start = self._reference() if self._is_motion else self._targets()
-        target = start.copy()
+        reference = self._reference() if self._is_motion else self._targets()
+        target = reference.copy()
         target[:, columns] = qpos
         if self._is_motion:
-            return self._affine.action_for(target - start)
+            return self._affine.action_for(target - reference)
         return self._action_at(target)
