@@ -635,7 +635,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         if "_postprocess_action" in self.overridden:
             with episodes.counting(present=False):
                 action = self._postprocess_action(action)
-        over = episodes.over()
+        over = episodes.take_truncated()
         if "check_truncated" in self.overridden:
             cut = self.check_truncated(cast("Observation", judged_obs), result.class_info or {})
             over |= as_mask(cut, self.num_envs, "check_truncated", self.arrays)

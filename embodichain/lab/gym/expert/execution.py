@@ -354,7 +354,7 @@ class Execution:
                 action[:, arm.controlled.fingers] = arm.grasp.command[:, None]
         if self._pushes is None:
             return action
-        return self._pushes.added(action, self.done)
+        return self._pushes.add_pushes(action, self.done)
 
 
 def _mark(instructions: Sequence[Instruction], kind: type[Instruction]) -> Mask:

@@ -56,8 +56,13 @@ class Pushes:
         self._remaining_steps: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
         self._push: F64 = np.zeros((env.num_envs, len(self._low)))
 
-    def added(self, action: F64, done: NDArray[np.bool_]) -> F64:
-        """(N, A) actions with pushes, within bounds; none where nothing is left to do, (N,)."""
+    def add_pushes(self, action: F64, done: NDArray[np.bool_]) -> F64:
+        """Draw the pushes of this control step; return the actions with them, within bounds.
+
+        Args:
+            action: (N, A).
+            done: (N,) environments in which nothing is left to do: they are not pushed.
+        """
         # Both are drawn in each step, so that the numbers do not depend on when pushes began.
         may_begin = self._env.rand(_STREAM).numpy() < _PUSH_PROBABILITY
         drawn = self._env.randn(f"{_STREAM}/size", (len(self._low),)).numpy().astype(np.float64)

@@ -148,8 +148,8 @@ class ToolPath:
         Returns:
             (n,) whether all of the line can be reached; where not, the tool stays.
         """
-        line, is_reachable = self._line(env_ids, pos, quat)
-        timings = self._timing(env_ids, pos, quat, line, speed)
+        line, is_reachable = self._solve_line(env_ids, pos, quat)
+        timings = self._time_lines(env_ids, pos, quat, line, speed)
         self._make_room(max((len(shares) for shares in timings), default=1))
         for number, env_id in enumerate(env_ids):
             shares = timings[number]
@@ -177,14 +177,17 @@ class ToolPath:
             longer[:, :length_now] = self._path
             self._path = longer
 
-    def _line(self, env_ids: EnvIds, pos: F64, quat: F64) -> tuple[F64, NDArray[np.bool_]]:
-        """(n, W + 1, k) joint positions on lines, and (n,) whether they reach all of them."""
+    def _solve_line(self, env_ids: EnvIds, pos: F64, quat: F64) -> tuple[F64, NDArray[np.bool_]]:
+        """Return (n, W + 1, k) joint positions on lines, and (n,) whether they reach all of them.
+
+        Why a line cannot be reached is stored in `obstacles`.
+        """
         start_pos = self.path_pos[env_ids]
         start_quat = self.path_quat[env_ids]
         turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(start_quat)))
         start_qpos = self._arm.asset.read_qpos()[env_ids].copy()
         start_qpos[:, self._solver.moving] = self._last_qpos[env_ids]
-        end_qpos, is_reachable = self._inverse(env_ids, start_qpos, pos, quat)
+        end_qpos, is_reachable = self._solve(env_ids, start_qpos, pos, quat)
 
         # All points of all lines at once, each from a guess between the solutions at the ends.
         shares = np.linspace(0.0, 1.0, _WAYPOINTS + 1)[:, None, None]
@@ -193,7 +196,7 @@ class ToolPath:
             rotvec_to_quat(shares * turn), np.broadcast_to(start_quat, (len(shares), *quat.shape))
         )
         guesses = (start_qpos + shares * (end_qpos - start_qpos)).reshape(-1, start_qpos.shape[1])
-        solutions, is_solved = self._inverse(
+        solutions, is_solved = self._solve(
             np.tile(env_ids, len(shares)), guesses, points.reshape(-1, 3), facing.reshape(-1, 4)
         )
         line = solutions.reshape(len(shares), len(env_ids), -1)
@@ -207,7 +210,7 @@ class ToolPath:
         if len(retried):
             qpos = start_qpos[retried]
             for i in range(1, len(shares)):
-                qpos, is_solved[i, retried] = self._inverse(
+                qpos, is_solved[i, retried] = self._solve(
                     env_ids[retried], qpos, points[i, retried], facing[i, retried]
                 )
                 line[i, retried] = qpos
@@ -253,14 +256,16 @@ class ToolPath:
         reasons.append(f"{1000 * missing:.0f} mm are missing at the next point")
         return f"{where} {', '.join(reasons)}"
 
-    def _inverse(
+    def _solve(
         self, env_ids: EnvIds, seed: F64, pos: F64, quat: F64
     ) -> tuple[F64, NDArray[np.bool_]]:
         """Return (n, D) joint positions for poses of the tool, and (n,) whether they reach them."""
         orientation = None if self._is_free else quat
         return self._solver.inverse(seed, pos, orientation, env_ids, restarts=False)
 
-    def _timing(self, env_ids: EnvIds, pos: F64, quat: F64, line: F64, speed: float) -> list[F64]:
+    def _time_lines(
+        self, env_ids: EnvIds, pos: F64, quat: F64, line: F64, speed: float
+    ) -> list[F64]:
         """Return for each line the shares of it, up to 1, at the next control steps."""
         turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(self.path_quat[env_ids])))
         way = length(pos - self.path_pos[env_ids])
@@ -283,12 +288,12 @@ class ToolPath:
         acceleration = acceleration * np.sqrt(speed)
         is_moving = (way > 1e-6) | (angle > 1e-6)
         return [
-            self._profile(velocity[k], acceleration[k]) if is_moving[k] else np.ones(1)
+            self._time_path(velocity[k], acceleration[k]) if is_moving[k] else np.ones(1)
             for k in range(len(env_ids))
         ]
 
-    def _profile(self, velocity: float, acceleration: float) -> F64:
-        """The path parameter after each control step, from rest at 0 to rest at 1."""
+    def _time_path(self, velocity: float, acceleration: float) -> F64:
+        """Return the path parameter after each control step, from rest at 0 to rest at 1."""
         import ruckig  # not by lazy_loader: collecting a module that is not executed yet crashes
 
         limits = ruckig.InputParameter(1)

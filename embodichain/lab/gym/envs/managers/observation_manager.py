@@ -374,7 +374,7 @@ class ObservationManager(Manager[ObservationCfg]):
             ValueError: If a term's value is not (N, ...); names the term.
             ConfigError: If a term modifies an entry that does not exist.
         """
-        rows = self._rows()
+        rows = self._take_rows()
         for entry in self._entries:
             argument: Any = obs
             if entry.modifies:
@@ -399,7 +399,7 @@ class ObservationManager(Manager[ObservationCfg]):
                 unfinished[path] = value
             else:
                 obs.layout.write(obs, path, value)
-        rows = self._rows()
+        rows = self._take_rows()
         numbers = obs.rows
         for place in self._places:
             entry = place.entry
@@ -446,8 +446,8 @@ class ObservationManager(Manager[ObservationCfg]):
                 causes[name] = (kind_of_values(values[bad]), bad)
         return causes
 
-    def _rows(self) -> Rows:
-        """The environments that stepped or were reset; the next call returns none."""
+    def _take_rows(self) -> Rows:
+        """Return the environments that stepped or were reset; the next call returns none."""
         if not self._remembers:
             return _BETWEEN_STEPS
         stepped = self.stepped

@@ -45,6 +45,6 @@ def above_ground(ground: GroundHeights | None, places: Floats, env_ids: EnvIndex
     if ground is None:
         return places
     height, _ = ground.read(places[:, 0], places[:, 1], env_ids)
-    found = places.copy()
-    found[:, 2] += np.where(np.abs(height) < _FLAT, 0.0, height)
-    return found
+    raised = places.copy()
+    raised[:, 2] += np.where(np.abs(height) < _FLAT, 0.0, height)
+    return raised

@@ -54,7 +54,8 @@ def angle_between(a: Floats, b: Floats) -> Floats:
     2 atan2(|v|, |w|) of the difference, which is exact near 0, unlike an arc cosine.
     """
     difference = quat_multiply(quat_conjugate(a), b)
-    sine, cosine = norm(difference[:, 1:]), np.abs(difference[:, 0])
+    sine = norm(difference[:, 1:])
+    cosine = np.abs(difference[:, 0])
     return 2.0 * np.arctan2(sine, contiguous(cosine))
 
 

@@ -93,7 +93,7 @@ class StepGraph:
             the next step.
         """
         self._engine.check_memory()
-        if self._graph is not None and not self._is_valid(arrays_moved):
+        if self._graph is not None and not self._make_valid(arrays_moved):
             self._graph = None
             self._revision = None
             self._left = 1
@@ -229,11 +229,12 @@ class StepGraph:
             _tensor(kept).copy_(new)
             place.set(kept)
 
-    def _is_valid(self, arrays_moved: bool) -> bool:
-        """Whether the graph computes the next step, after changes by code outside of steps.
+    def _make_valid(self, arrays_moved: bool) -> bool:
+        """Take over changes by code outside of steps; return whether the graph is valid with them.
 
-        What such code has put in place of kept arrays is copied into these. It may have written to
-        the engine, or changed numbers of the host, such as whether drives have a largest velocity.
+        Arrays that such code has put in place of kept arrays are copied into these. It may have
+        written to the engine, or changed numbers of the host, such as whether drives have a largest
+        velocity.
         """
         if self._revision != self._env.revision:
             return False

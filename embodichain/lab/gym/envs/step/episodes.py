@@ -121,16 +121,19 @@ class Episodes:
             self.cut = np.zeros_like(self.success)
         self.cut[ids] = True
 
-    def over(self) -> Mask:
-        """(N,) episodes that are truncated after this step: at the limit, or by `truncate`."""
-        over: Mask = self.elapsed >= np.int32(self.limit)
+    def take_truncated(self) -> Mask:
+        """Return (N,) episodes that this step truncates: at the limit, or by `truncate`.
+
+        The marks of `truncate` are cleared.
+        """
+        truncated: Mask = self.elapsed >= np.int32(self.limit)
         if self.cut is not None:
-            over |= self.cut
+            truncated |= self.cut
             if self._on_device:
                 self.cut[...] = False
             else:
                 self.cut = None
-        return over
+        return truncated
 
     def state_dict(self) -> dict[str, Any]:
         """Return copies of everything but the limit."""

@@ -15,6 +15,7 @@ from embodichain.lab.sim.engine.api import ALL, EnvIndex, PhysicsEvent, Write
 from embodichain.lab.sim.engine.cpu.cpu_engine import HostEngine
 from embodichain.lab.sim.engine.device.device_values import HostTransferError
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
+from embodichain.utils.array_types import EnvIds
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
@@ -81,19 +82,19 @@ class CopiedEngine(HostEngine):
     def put_states(self, states: States) -> None:
         """Apply state components that may have been written, as writes of what differs."""
         for name in sorted(states, key=lambda name: name in _LAST):
-            rows = self._changed_rows(name, states[name])
-            if not len(rows):
+            env_ids = self._store_changes(name, states[name])
+            if not len(env_ids):
                 continue
-            if name in _LAST or 2 * len(rows) > self.num_envs:
+            if name in _LAST or 2 * len(env_ids) > self.num_envs:
                 self._write(name, states[name], None)
             else:
-                self._write(name, states[name][rows], rows)
+                self._write(name, states[name][env_ids], env_ids)
 
     def _write(self, name: str, values: NDArray[Any], env_ids: EnvIndex | None) -> None:
         self.write(name, values.astype(np.float64), env_ids)
 
-    def _changed_rows(self, name: str, new: NDArray[Any]) -> EnvIndex:
-        """(n,) environments in which a component has other bits than before; it is stored."""
+    def _store_changes(self, name: str, new: NDArray[Any]) -> EnvIds:
+        """Store a component; return environments (n,) in which it has other bits than before."""
         old = self._latest.get(name)
         self._latest[name] = new
         if old is not None and old.dtype == new.dtype:

@@ -329,33 +329,33 @@ class EefDeltaPose(EefTerm):
         value = contiguous(self._columns.value(action).T, np.float64)
         commanded = self._commanded()
         frames = self._solver.frames(commanded)
-        start = frames
+        reference = frames
         if self._measured:
-            start = self._solver.frames(self._asset.read_qpos())
-        motion = self._in_root(value.reshape(-1, 3, self._count), start)
+            reference = self._solver.frames(self._asset.read_qpos())
+        motion = self._in_root(value.reshape(-1, 3, self._count), reference)
         if self._rotation == "keep":
             motion = np.concatenate([motion, np.zeros_like(motion)])
         if self._measured:
-            error = pose_error(frames, _move(start, motion))
+            error = pose_error(frames, _move(reference, motion))
         else:
             # The targets' own pose plus the motion: their difference is the motion.
             error = motion.reshape(-1, self._count)
         self._follow(commanded, frames, error)
 
-    def _in_root(self, vectors: Floats, start: Frames) -> Floats:
+    def _in_root(self, vectors: Floats, reference: Frames) -> Floats:
         """Vectors (v, 3, N) of `frame` in the axes of the root."""
         if self._frame == "base":
             return vectors
-        axes = start.rotation
+        axes = reference.rotation
         if self._frame == "world":
             _, root_quat = self._solver.root_pose()
             axes = np.moveaxis(quat_to_matrix(quat_conjugate(root_quat)), 0, -1)
         return np.stack([matmul(axes, vector) for vector in vectors])
 
 
-def _move(start: Frames, motion: Floats) -> IkTargets:
+def _move(reference: Frames, motion: Floats) -> IkTargets:
     """The pose of the tool, translated and, if there is one, rotated by a rotation vector."""
     if len(motion) == 1:
-        return IkTargets(start.position + motion[0], None)
+        return IkTargets(reference.position + motion[0], None)
     turn = np.moveaxis(quat_to_matrix(rotvec_to_quat(motion[1].T)), 0, -1)
-    return IkTargets(start.position + motion[0], matmul(turn, start.rotation))
+    return IkTargets(reference.position + motion[0], matmul(turn, reference.rotation))

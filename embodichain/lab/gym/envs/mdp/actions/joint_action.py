@@ -548,11 +548,11 @@ class JointAction(JointTerm):
         Drives that bear the weight of the arm get targets as far ahead as they sag below them.
         """
         columns, joints = self._moving
-        start = self._reference() if self._is_motion else self._targets()
-        target = start.copy()
+        reference = self._reference() if self._is_motion else self._targets()
+        target = reference.copy()
         target[:, columns] = qpos
         if self._is_motion:
-            return self._affine.action_for(target - start)
+            return self._affine.action_for(target - reference)
         if not self._asset.parsed.cfg.gravcomp:
             target[:, columns] += self._sag(joints)
         return self._action_at(target)

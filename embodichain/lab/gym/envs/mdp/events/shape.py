@@ -50,13 +50,17 @@ class RandomizeShape(Term):
         if not names:
             message = f"{entity_cfg.uid!r} has no any_of: there is one shape"
             raise ConfigError([Problem("entity_cfg.uid", message)])
-        given = weights or {}
-        wrong = [no_such("shape", n, names, f"weights.{n}") for n in given if n not in names]
-        share = np.array([float(given.get(name, 1.0)) for name in names])
-        if not wrong and not share.any():
-            wrong = [Problem("weights", "all are 0: nothing can be drawn")]
-        if wrong:
-            raise ConfigError(wrong)
+        weight_of = weights or {}
+        problems = [
+            no_such("shape", name, names, f"weights.{name}")
+            for name in weight_of
+            if name not in names
+        ]
+        share = np.array([float(weight_of.get(name, 1.0)) for name in names])
+        if not problems and not share.any():
+            problems = [Problem("weights", "all are 0: nothing can be drawn")]
+        if problems:
+            raise ConfigError(problems)
         # Drawn numbers are below the number of shapes: with equal weights, the index is the integer
         # part.
         self._ends = constant(np.cumsum(share) * (len(names) / share.sum()))

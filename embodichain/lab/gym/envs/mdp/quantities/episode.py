@@ -134,6 +134,7 @@ def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
 class _Clock(Term):
     """Seconds since each episode's first observation."""
 
+    # `_start` is what the simulation's time was, `_fresh` where the next reading starts the clock.
     saved = ("_start", "_fresh")
 
     def __init__(self, env: TermContext) -> None:
@@ -141,8 +142,8 @@ class _Clock(Term):
         self._start: Floats = env.arrays.full(env.num_envs, 0.0)
         self._fresh: Mask = env.arrays.full(env.num_envs, True, np.bool_)
 
-    def seconds(self) -> Floats:
-        """(N,) s."""
+    def read(self) -> Floats:
+        """Read the clock, (N,) s; it starts at its first reading in an episode."""
         now = self._env.sim.engine.state("time")[:, 0]
         if may_be_set(self._fresh):
             self._start = np.where(self._fresh, now, self._start)
@@ -175,7 +176,7 @@ class CurrentTime(_Clock):
 
     def __call__(self) -> Floats:
         """(N,)."""
-        return self.seconds()
+        return self.read()
 
 
 @quantity("observation", name="remaining_time_s")
@@ -192,7 +193,7 @@ class RemainingTime(_Clock):
 
     def __call__(self) -> Floats:
         """(N,)."""
-        return self.limit() - self.seconds()
+        return self.limit() - self.read()
 
 
 @quantity("observation", name="elapsed_fraction")
@@ -208,7 +209,7 @@ class ElapsedFraction(RemainingTime):
 
     def __call__(self) -> Floats:
         """(N,)."""
-        return self.seconds() / self.limit()
+        return self.read() / self.limit()
 
 
 @quantity("observation", name="phase")
@@ -237,7 +238,7 @@ class Phase(_Clock):
 
     def __call__(self) -> Floats:
         """(N, 2 K)."""
-        cycles = self.seconds() / self._period
+        cycles = self.read() / self._period
         columns = np.empty_like(cycles, shape=(len(cycles), 2 * len(self._offsets)))
         for i, offset in enumerate(self._offsets):
             angle = 2.0 * np.pi * (cycles + offset)
