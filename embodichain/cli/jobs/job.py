@@ -219,7 +219,7 @@ class Job:
             return None
         note = f" ({shown.how})" if shown.how else ""
         _log.info("viewer: %s%s", shown.address, note)  # without the token, which is in the URL
-        # Who is not told the token cannot open the viewer: the URL is printed in any case.
+        # Nobody can open the viewer without the token: a URL with one is always printed.
         if not self.quiet or shown.url != shown.address:
             sys.stderr.write(f"viewer: {shown.url}{note}\n")
         warn_if_public(cfg.host, shown.url, controls=viewer.controls)

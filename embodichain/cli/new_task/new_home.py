@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["bent_home", "lowest_point"]
 
 _BENDS = (0.4, 0.8, 1.2)
-"""How far joints are bent from the first pose, rad."""
+"""Angles in rad by which joints are bent from the first pose."""
 _MOST_JOINTS = 6
 """Joints of the chain to the tool that are bent: 3 ** 6 poses are enough."""
 _MOST_TRIALS = 8
@@ -27,7 +27,7 @@ _MOST_TRIALS = 8
 _MARGIN = 0.05
 """Share of a joint's range that is left free at both ends."""
 _LOWER = 1e-3
-"""How much lower than at first a robot may hang, m."""
+"""Distance in metres by which a robot may hang lower than at first."""
 
 
 def bent_home(
