@@ -287,6 +287,7 @@ def _write_policy(target: Target, overrides: list[str], out: Path, form: Format)
     resolved = target.resolve(overrides, root_values, only_reads=True)
     for note in notes_of_today(resolved.tree):
         sys.stderr.write(f"warning: {note}\n")
+    # For the observation columns and the action bounds, which the file has, too.
     env = make_env(resolved)
     try:
         policy = load_checkpoint(Path(target.policy), env, trust=resolved.root.trust)
