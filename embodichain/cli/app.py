@@ -188,6 +188,7 @@ def call(arguments: list[str]) -> int:
         The exit code.
     """
     first = arguments[0] if arguments else "help"
+    # Click would take the key for a verb or an option of its own.
     _check_first_word(first, arguments)
     words = list(arguments)
     if first == "help":

@@ -52,7 +52,7 @@ def split_overrides(words: tuple[str, ...]) -> list[str]:
         assignment = "".join(words[max(index - 1, 0) : index + 2])
         raise ConfigError(f"write {assignment}, without blanks around =")
     tasks = [word for word in words if "=" not in word and not word.startswith("~")]
-    _check_blanks(words, tasks)
+    _check_blanks(words, tasks)  # its messages are more specific
     if len(tasks) > 1:
         raise ConfigError(f"one task at a time: {', '.join(tasks)}. Values are given as key=value")
     overrides = [word for word in words if word not in tasks]

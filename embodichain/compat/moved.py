@@ -101,7 +101,9 @@ class _Finder(MetaPathFinder):
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return an alias for a module of the table."""
-        return ModuleSpec(fullname, _Moved()) if fullname in MOVED else None
+        if fullname not in MOVED:
+            return None
+        return ModuleSpec(fullname, _Moved())
 
 
 def install() -> None:

@@ -256,19 +256,21 @@ def reason(module: str, name: str) -> str:
         for kind in _KINDS:
             if name in LEFT_OUT[kind]:
                 return LEFT_OUT[kind][name]
-    exact = REASONS.get(f"{module}.{name}")
-    if exact:
-        return exact
-    having = sorted((m for m, names in _upstream().items() if name in names), key=len, reverse=True)
-    below = [m for m in having if m.startswith(f"{module}.")]  # the modules of a package's names
-    for place in (*below, module, *having):
-        text = _closest(place)
-        if text:
-            return text
+    reason_of_name = REASONS.get(f"{module}.{name}")
+    if reason_of_name:
+        return reason_of_name
+    modules = [other for other, names in _upstream().items() if name in names]
+    modules.sort(key=len, reverse=True)
+    # A package's `__init__` has names of its modules, whose reasons are more specific.
+    submodules = [other for other in modules if other.startswith(f"{module}.")]
+    for place in (*submodules, module, *modules):
+        reason_of_module = _closest_reason(place)
+        if reason_of_module:
+            return reason_of_module
     return ""
 
 
-def _closest(module: str) -> str:
+def _closest_reason(module: str) -> str:
     """The reason for a module, or for its nearest parent package that has one."""
     while module and not REASONS.get(module):
         module = module.rpartition(".")[0]
@@ -276,7 +278,7 @@ def _closest(module: str) -> str:
 
 
 def _term(module: str, name: str) -> Any:
-    """The term for a functor of EmbodiChain (its name for an alias), or None."""
+    """The term for a functor of EmbodiChain (for an alias, its name), or None."""
     if not module.startswith(_MANAGERS):
         return None
     from embodichain.compat.gym_config.functors import ACTIONS
@@ -285,8 +287,10 @@ def _term(module: str, name: str) -> Any:
 
     for kind in _KINDS:
         spec = TERMS[kind].get(ACTIONS.get(name, name))
+        if isinstance(spec, AliasSpec):
+            return spec.name
         if spec is not None:
-            return spec.name if isinstance(spec, AliasSpec) else spec.func
+            return spec.func
     return None
 
 
@@ -323,9 +327,9 @@ class _Finder(MetaPathFinder):
             return None
         spec = PathFinder.find_spec(fullname, path, target)
         if spec is None or spec.origin is None:  # no such module, or a folder without Python
-            below = f"{fullname}."
-            package = any(name.startswith(below) for name in upstream_modules())
-            alias = ModuleSpec(fullname, _Alias(), is_package=package)
+            prefix = f"{fullname}."
+            is_package = any(name.startswith(prefix) for name in upstream_modules())
+            alias = ModuleSpec(fullname, _Alias(), is_package=is_package)
             if spec is not None:
                 alias.submodule_search_locations = spec.submodule_search_locations
             return alias
@@ -337,17 +341,17 @@ class _Finder(MetaPathFinder):
 def complete(module: ModuleType) -> None:
     """Look up EmbodiChain's names in a module that lacks them."""
     module_name = module.__name__
-    listed = upstream_names(module_name)
-    own_getattr: Callable[[str], Any] | None = module.__dict__.get("__getattr__")
+    names = upstream_names(module_name)
+    getattr_of_module: Callable[[str], Any] | None = module.__dict__.get("__getattr__")
 
     def look_up(name: str) -> Any:
-        if own_getattr is not None:
+        if getattr_of_module is not None:
             try:
-                return own_getattr(name)
+                return getattr_of_module(name)
             except AttributeError:
-                if name not in listed:
+                if name not in names:
                     raise
-        if name in listed:
+        if name in names:
             return find(module_name, name)
         if name == "__all__" and module.__spec__ and isinstance(module.__spec__.loader, _Alias):
             return available(module_name)

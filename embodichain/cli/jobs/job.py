@@ -219,7 +219,7 @@ class Job:
             return None
         note = f" ({shown.how})" if shown.how else ""
         _log.info("viewer: %s%s", shown.address, note)  # without the token, which is in the URL
-        # Who is not told the token cannot open the viewer: the URL is printed in any case.
+        # Nobody can open the viewer without the token: a URL with one is always printed.
         if not self.quiet or shown.url != shown.address:
             sys.stderr.write(f"viewer: {shown.url}{note}\n")
         warn_if_public(cfg.host, shown.url, controls=viewer.controls)
@@ -292,6 +292,7 @@ def start(verb: JobVerb, work: Work, options: JobOptions) -> None:
         from embodichain.config.composition.gym_config import override_of
 
         overrides.append(override_of(options.gym_config))
+    # Read here: the workers of a sweep are not called by this command line.
     run_job = partial(execute, work=work, command=command_line(), verb=verb)
 
     def check(job_overrides: Sequence[str]) -> Resolved:
@@ -393,7 +394,9 @@ def execute(
     """
     from embodichain.config.resolved import compile_scene_of
 
+    # `last` may be another training when the record of this job is read.
     resolved = pin_last(resolved)
+    # Before a folder is made: a scene with mistakes leaves none.
     compiled_scene = compile_scene_of(resolved)
     if resolved.tree["sim"]["engine"] == "warp":
         from embodichain.config.environments.factory import with_warp_values
@@ -452,6 +455,7 @@ def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool
 
     resolved = job.resolved
     folder = job.folder
+    # Folders are sent around: whoever has one must not be able to open the viewer.
     command = without_token(replace_last(command))
     if not is_continued:
         write_record(folder, resolved, command)
@@ -479,6 +483,7 @@ def check_extras(root: RootCfg) -> None:
         RenderError: Pictures cannot be drawn here, and nothing else is missing; names what to
             install.
     """
+    # Everything that is missing is reported at once, so that one installation is enough.
     problems: list[Problem] = []
     render_error: RenderError | None = None
     for check in _checks_of_extras(root):

@@ -20,14 +20,16 @@ if TYPE_CHECKING:
 __all__ = ["attach_logs", "play_inside"]
 
 
-def attach_logs(resolved: Resolved, env: Any, path: Path, about: Mapping[str, Any]) -> ShardLogs:
+def attach_logs(
+    resolved: Resolved, env: Any, path: Path, arguments: Mapping[str, Any]
+) -> ShardLogs:
     """Attach a log to every shard of a batch.
 
     Args:
         resolved: The config of the job.
         env: The batch.
         path: The name that the log of one process would have.
-        about: Further arguments of `ShardLogs`.
+        arguments: Further arguments of `ShardLogs`.
 
     Raises:
         TypeError: If the batch is not in shards.
@@ -38,7 +40,7 @@ def attach_logs(resolved: Resolved, env: Any, path: Path, about: Mapping[str, An
     def config_of(first: int, count: int) -> str:
         return dump_yaml(shard_config(resolved, first, count).tree)
 
-    return ShardLogs(path, env, config_of=config_of, **about)
+    return ShardLogs(path, env, config_of=config_of, **arguments)
 
 
 def play_inside(root: RootCfg, env: Any, counted: EpisodeStatistics) -> Iterator[None] | None:
@@ -56,9 +58,10 @@ def play_inside(root: RootCfg, env: Any, counted: EpisodeStatistics) -> Iterator
         An iterator that advances the batch, and yields between two calls of the shards; or None.
     """
     policy: Any = root.policy or "random"
+    name = policy
     if not isinstance(policy, str):
+        name = policy.func
         policy = {"func": policy.func, "params": policy.params}
-    name = policy["func"] if isinstance(policy, dict) else policy
     if not isinstance(env, ShardedEnv) or name not in IN_SHARDS or root.task.curriculum:
         return None
     from embodichain.learning.evaluation.sharded_play import play_sharded

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["bent_home", "lowest_point"]
 
 _BENDS = (0.4, 0.8, 1.2)
-"""How far joints are bent from the first pose, rad."""
+"""Angles in rad by which joints are bent from the first pose."""
 _MOST_JOINTS = 6
 """Joints of the chain to the tool that are bent: 3 ** 6 poses are enough."""
 _MOST_TRIALS = 8
@@ -27,10 +27,12 @@ _MOST_TRIALS = 8
 _MARGIN = 0.05
 """Share of a joint's range that is left free at both ends."""
 _LOWER = 1e-3
-"""How much lower than at first a robot may hang, m."""
+"""Distance in metres by which a robot may hang lower than at first."""
 
 
-def bent_home(reach: ToolReach, hinges: NDArray[np.bool_], enough: float) -> NDArray[np.float64]:
+def bent_home(
+    reach: ToolReach, hinges: NDArray[np.bool_], sufficient_radius: float
+) -> NDArray[np.float64]:
     """The pose nearest to the first one from which the tool reaches a cube that is large enough.
 
     A pose is left out if links touch that did not before, or if the robot hangs lower.
@@ -38,7 +40,7 @@ def bent_home(reach: ToolReach, hinges: NDArray[np.bool_], enough: float) -> NDA
     Args:
         reach: The robot at its first pose.
         hinges: (K,) which of its joints turn; the others stay.
-        enough: Half of the side of that cube, m.
+        sufficient_radius: Half of the side of that cube, m.
 
     Returns:
         (K,) joint positions, rad or m: of the largest cube if none is large enough.
@@ -47,21 +49,21 @@ def bent_home(reach: ToolReach, hinges: NDArray[np.bool_], enough: float) -> NDA
     first_contacts = _contacts(reach, start)
     first_lowest = lowest_point(reach.model, reach.data)
     best_pose = start
-    best_radius = reach.radius(start, enough)
+    best_radius = reach.radius(start, sufficient_radius)
     bendable = _chain(reach, hinges)
     for bend in _BENDS:
         poses = _bent_poses(reach, bendable, bend)
         poses.sort(key=lambda pose: (-_movability(reach, pose), np.abs(pose - start).sum()))
         trials = 0
         for pose in poses:
-            if trials == _MOST_TRIALS or best_radius >= enough:
+            if trials == _MOST_TRIALS or best_radius >= sufficient_radius:
                 break
             new_contacts = _contacts(reach, pose) - first_contacts
             hangs_lower = lowest_point(reach.model, reach.data) < first_lowest - _LOWER
             if new_contacts or hangs_lower:
                 continue
             trials += 1
-            radius = reach.radius(pose, enough)
+            radius = reach.radius(pose, sufficient_radius)
             if radius > best_radius:
                 best_pose = pose
                 best_radius = radius

@@ -29,7 +29,7 @@ _STILL = 1e-6
 """Velocity below which a tool does not move along an axis, m/s at 1 rad/s."""
 _ITERATIONS = 40
 _DAMPING = 1e-4
-"""Of damped least squares (Wampler, 1986), m^2."""
+"""Damping of the least squares (Wampler, 1986), m^2."""
 
 
 @dataclass(frozen=True, order=True)
@@ -144,7 +144,7 @@ class ToolReach:
         return is_movable
 
     def _distance(self, home: NDArray[np.float64], offset: NDArray[np.float64]) -> float:
-        """How near the tool comes to a place, by inverse kinematics, m.
+        """Distance in metres between the tool and a place, after inverse kinematics.
 
         Args:
             home: (K,) the pose around which the action moves the joints, rad or m.

@@ -264,7 +264,7 @@ def _first_state(parsed: ParsedArticulation, is_floating: bool) -> mujoco.MjData
 
 
 def _lift(lowest: float, is_floating: bool) -> float:
-    """How far a robot is lifted so that nothing of it is below the ground, whole cm in m.
+    """Height in metres, to whole centimetres, by which a robot is lifted out of the ground.
 
     A floating base is lowered too, if it hangs in the air.
     """
@@ -369,7 +369,7 @@ def _narrowed(
 
 
 class _ChainRank(NamedTuple):
-    """How a chain of links compares with others: the tool is at the end of the largest.
+    """The rank of a chain of links: the tool is at the end of the chain with the largest.
 
     Attributes:
         joints: Its hinges; its slides if it has no hinge.

@@ -444,7 +444,7 @@ def _is_builtin(entry: TermEntry) -> bool:
 
 
 def _is_plain_alias(entry: TermEntry) -> bool:
-    """Whether a term is no more than another name of one with its shapes."""
+    """Whether a term is only another name of a term with shapes."""
     return isinstance(entry.spec, AliasSpec) and not entry.spec.makers
 
 

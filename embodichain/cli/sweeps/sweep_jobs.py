@@ -5,7 +5,7 @@ after a preemption or the death of a node, find the job's folder. Its files alon
 
 * finished: nothing; the objective is in `summary.json`;
 * a training with a checkpoint to resume from: it continues in the same folder;
-* a training that has learned, but was not evaluated to the end: the evaluation, anew;
+* a training that has learned, but was not evaluated to the end: the evaluation, again;
 * anything else: all of it; the folder is kept under another name.
 """
 
@@ -69,7 +69,7 @@ class Entered:
     Attributes:
         resolved: Its config, changed so that it continues.
         is_continued: Whether the folder has the job's config already.
-        objective: Of a finished job.
+        objective: The objective of a finished job; None for others.
         finished: Whether nothing is left to do.
     """
 

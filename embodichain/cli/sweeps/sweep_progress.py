@@ -64,7 +64,7 @@ def job_label(number: str, overrides: Sequence[str], keys: Sequence[str]) -> str
 
     Args:
         number: Its number, or the name of its folder.
-        overrides: Of the job.
+        overrides: The job's overrides.
         keys: Keys with several values in the sweep.
     """
     words = [number]
@@ -92,7 +92,7 @@ def table_of(rows: Sequence[JobRow], jobs: int) -> str:
     """Return the states as a table: running jobs one by one, the others as a count.
 
     Args:
-        rows: Of the jobs that have begun.
+        rows: The jobs that have begun.
         jobs: Number of jobs of the sweep.
     """
     counts = [f"{count} {state}" for state, count in Counter(row.state for row in rows).items()]

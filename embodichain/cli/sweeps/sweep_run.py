@@ -213,7 +213,7 @@ def _unfinished_jobs(sweep: Path, verb: JobVerb) -> list[str]:
 
 
 def _count_finished(plan: Plan, verb: JobVerb) -> str:
-    """A sentence about finished and unfinished jobs, and how to go on."""
+    """A sentence about finished and unfinished jobs, and how to continue."""
     unfinished = _unfinished_jobs(plan.folder, verb)
     finished = [name for name in _begun_jobs(plan.folder) if name not in unfinished]
     text = f"{len(finished)} of {plan.jobs} jobs are done"

@@ -203,7 +203,7 @@ def _run_in_folder(
     Args:
         run_job: Runs a job.
         resolved: The job's config.
-        new_folders: Folders that Hydra has made for it, which a refused job does not leave.
+        new_folders: Folders that Hydra has made for it; they are removed if the job is refused.
     """
     folder = Path(HydraConfig.get().runtime.output_dir)
     names_before = {entry.name for entry in folder.iterdir()}

@@ -125,7 +125,7 @@ def test_nothing_is_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
     Path("tests").mkdir()
     Path("tests/test_mine.py").write_text("# mine\n")
     assert main(["new", "task", "mine"]) == 2
-    assert "exists already, and is not overwritten: tests/test_mine.py" in capsys.readouterr().err
+    assert "files exist, and are never replaced: tests/test_mine.py" in capsys.readouterr().err
     assert [str(path) for path in Path().rglob("*.*")] == ["tests/test_mine.py"]
     assert Path("tests/test_mine.py").read_text() == "# mine\n"
     Path("tests/test_mine.py").unlink()
@@ -191,7 +191,7 @@ def test_a_table_that_is_there_is_not_written_again(capsys: pytest.CaptureFixtur
     data = '[tool.setuptools.package-data]\nmine = ["*.txt"]\n'
     Path("pyproject.toml").write_text(project + data)
     needed = str(new(capsys, "stack")["pyproject"])
-    assert '# in [tool.setuptools.package-data], which is there:\nmine = ["conf' in needed
+    assert '# in [tool.setuptools.package-data], which exists:\nmine = ["conf' in needed
     Path("pyproject.toml").write_text(
         f'[build-system]\nbuild-backend = "hatchling.build"\nrequires = []\n{project}'
     )

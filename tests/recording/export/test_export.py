@@ -462,4 +462,4 @@ def test_formats_are_named_in_help_without_importing_one():
     )
     assert done.returncode == 0, done.stderr
     words = " ".join(done.stdout.split())
-    assert f"Of a log: {', '.join(FORMATS)}, robomimic" in words
+    assert f"For a log: {', '.join(FORMATS)}, robomimic" in words

@@ -129,7 +129,7 @@ class Dashboard(ProgressDisplay):
 
 
 def _shares(statistics: TrainStatistics) -> tuple[Text, Text]:
-    """What the time goes to: a coloured bar, and its legend."""
+    """The shares of the time: a coloured bar, and its legend."""
     from rich.text import Text
 
     bar = Text()

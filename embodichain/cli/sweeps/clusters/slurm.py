@@ -51,7 +51,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class _SlurmJob:
-    """What a process of Slurm calls."""
+    """The function that a process of Slurm calls."""
 
     job: ClusterJob
     requeues: int

@@ -65,6 +65,7 @@ def command(options: OverrideOptions) -> None:
     deterministic = _parse_switch("deterministic", pop_override(lines, "deterministic", "true"))
     typed_seed = pop_override(lines, "seed", "")
     seed = _parse_integer("seed", typed_seed or "0", least=0)
+    # Environments without an episode to play are left out, unless their number was typed.
     trim = not any(line.startswith("num_envs=") for line in lines)
     root_values = {**FRESH, "viewer": {"name": "none"}, "record": {}}
     resolved = target.resolve([*lines, *output_overrides(options)], root_values)

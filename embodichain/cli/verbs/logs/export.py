@@ -54,7 +54,7 @@ class _FormatOption(click.Option):
         """Look the formats up when help is asked for, not when the verb is imported."""
         logs = ", ".join(_log_formats())
         policies = ", ".join(_POLICY_SUFFIXES)
-        self.help = f"Of a log: {logs} (`embodichain list formats`); of a policy: {policies}."
+        self.help = f"For a log: {logs} (`embodichain list formats`); for a policy: {policies}."
         return super().get_help_record(ctx)
 
 
@@ -78,7 +78,7 @@ class ExportOptions:
         observations: Write the task's observations instead of states.
         group: The observation group; None is ``policy``.
         failures: With observations: write all episodes, not successes only.
-        env: Of a log: only this environment.
+        env: Only this environment of the log.
         episode: Only this episode of `env`.
         start: First control step.
         stop: The control step to stop before.
@@ -140,7 +140,7 @@ class ExportOptions:
 @click.option(
     "--failures", is_flag=True, help="With observations: all episodes, not successes only."
 )
-@click.option("--env", type=int, metavar="I", help="Of a log: only this environment.")
+@click.option("--env", type=int, metavar="I", help="Only this environment of the log.")
 @click.option("--episode", type=int, metavar="K", help="Only this episode of --env.")
 @click.option("--from", "start", type=int, metavar="T", help="First control step.")
 @click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
@@ -285,6 +285,7 @@ def _write_policy(target: Target, overrides: list[str], out: Path, form: Format)
     resolved = target.resolve(overrides, root_values, only_reads=True)
     for note in notes_of_today(resolved.tree):
         sys.stderr.write(f"warning: {note}\n")
+    # For the observation columns and the action bounds, which the file has, too.
     env = make_env(resolved)
     try:
         policy = load_checkpoint(Path(target.policy), env, trust=resolved.root.trust)

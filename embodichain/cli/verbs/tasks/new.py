@@ -45,10 +45,12 @@ class _Names:
     @property
     def module(self) -> str:
         """The module of the class of the task."""
-        return f"{self.package}.tasks.{self.task}" if self.package else self.task
+        if not self.package:
+            return self.task
+        return f"{self.package}.tasks.{self.task}"
 
     @property
-    def cls(self) -> str:
+    def class_name(self) -> str:
         """The name of the class: ``push_cube`` gives ``PushCubeEnv``."""
         parts = [part[:1].upper() + part[1:] for part in self.task.split("_")]
         return f"{''.join(parts)}Env"
@@ -56,12 +58,16 @@ class _Names:
     @property
     def conf(self) -> Path:
         """The folder of the YAML tree; the file is written into its `task` folder."""
-        return self._inside("conf") if self.package else Path("conf")
+        if not self.package:
+            return Path("conf")
+        return self._folder_of_package("conf")
 
     @property
     def python(self) -> Path:
         """The file of the class."""
-        folder = self._inside("tasks") if self.package else self.source
+        folder = self.source
+        if self.package:
+            folder = self._folder_of_package("tasks")
         return folder / f"{self.task}.py"
 
     @property
@@ -72,7 +78,7 @@ class _Names:
             folder = Path("tests")
         return folder / f"test_{self.task}.py"
 
-    def _inside(self, name: str) -> Path:
+    def _folder_of_package(self, name: str) -> Path:
         """A folder of the package, with links resolved."""
         folder = self.source / self.package / name
         if folder.is_symlink():
@@ -85,7 +91,7 @@ class NewOptions:
     """What was typed after `new`.
 
     Attributes:
-        what: ``task``; there is nothing else yet.
+        what: ``task``, the only kind so far.
         name: The name of the task.
         python: Write a class instead of YAML alone.
         robot: Path of the robot's URDF or MJCF.
@@ -120,7 +126,7 @@ def command(options: NewOptions) -> None:
         ConfigError: If the name is not allowed, or a file exists; nothing is written.
     """
     _check_name(options.name)
-    project = _pyproject()
+    project = _read_pyproject()
     names = _names(options.name, project)
     if options.python:
         _check_module(names)
@@ -188,7 +194,8 @@ def _check_module(names: _Names) -> None:
         raise ConfigError(f"Python has a module '{names.task}' already: choose another name")
 
 
-def _pyproject() -> dict[str, Any]:
+def _read_pyproject() -> dict[str, Any]:
+    """The content of `pyproject.toml` here; empty if there is none."""
     try:
         return tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -217,8 +224,8 @@ def _files(names: _Names, robot: dict[str, str], *, python: bool) -> dict[Path, 
     """
     words = {
         "task": names.task,
-        "cls": names.cls,
-        "id": f"{names.cls.removesuffix('Env') or names.task}-v0",
+        "cls": names.class_name,
+        "id": f"{names.class_name.removesuffix('Env') or names.task}-v0",
         "module": names.module,
         "conf": _path("ROOT", names.conf),
         "up": str(len(names.test.parts) - 1),
@@ -284,7 +291,7 @@ def _write(files: dict[Path, str]) -> None:
     """
     existing_files = [path.as_posix() for path in files if os.path.lexists(path)]
     if existing_files:
-        raise ConfigError(f"exists already, and is not overwritten: {', '.join(existing_files)}")
+        raise ConfigError(f"files exist, and are never replaced: {', '.join(existing_files)}")
     for path, text in files.items():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -337,7 +344,7 @@ def _package_data(project: dict[str, Any]) -> dict[str, Any] | None:
 def _block(table: str, line: str, *, exists: bool) -> str:
     """A line of a TOML table, with its header unless the file has the table already."""
     if exists:
-        return f"# in [{table}], which is there:\n{line}"
+        return f"# in [{table}], which exists:\n{line}"
     return f"[{table}]\n{line}"
 
 
