@@ -31,6 +31,7 @@ from embodichain.learning.training.train import TrainSummary, check_algorithm, t
 from embodichain.utils.errors import ConfigError
 from tests.helpers.extras import needs
 from tests.learning.counting import CountingEnv
+from tests.learning.interrupted import interrupt_and_resume
 
 pytestmark = [needs("rsl_rl", "skrl"), pytest.mark.slow]
 
@@ -152,21 +153,13 @@ def test_rows_have_the_columns_of_other_trainings(trained, algo):
 
 @BOTH
 def test_resumed_equals_uninterrupted(tmp_path, algo):
-    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
-    train(config(*algo, FOUR), whole)
-
-    def interrupt(statistics):
-        if statistics.env_steps == 40:  # within an episode
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(config(*algo, FOUR), first, interrupt)
-    assert json.loads((first / "summary.json").read_text())["env_steps"] == 64
-    torch.rand(5)  # what else this process draws does not matter
-    summary = train(config(*algo, FOUR, f"resume={first}"), second)
-    assert summary.resumed_from == str(first / "checkpoints/final.zip")
-    np.testing.assert_array_equal(everything(second), everything(whole))
-    before = json.loads((whole / "summary.json").read_text())
+    here = functools.partial(config, *algo, FOUR)
+    runs = interrupt_and_resume(here, tmp_path, at=40)  # within an episode
+    assert json.loads((runs.first / "summary.json").read_text())["env_steps"] == 64
+    summary = runs.summary
+    assert summary.resumed_from == str(runs.first / "checkpoints/final.zip")
+    np.testing.assert_array_equal(everything(runs.second), everything(runs.whole))
+    before = json.loads((runs.whole / "summary.json").read_text())
     assert [summary.episodes, summary.mean_return] == [before["episodes"], before["mean_return"]]
 
 
