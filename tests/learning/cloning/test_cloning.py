@@ -122,7 +122,7 @@ def test_a_file_without_python_acts_alike_over_an_episode(trained, tmp_path):
         env.close()
 
 
-def test_resumed_equals_uninterrupted(tmp_path):
+def test_resumed_cloning_equals_uninterrupted(tmp_path):
     here = functools.partial(config, "total_timesteps=1_920", "checkpoint.every_steps=640")
     runs = interrupt_and_resume(here, tmp_path, at=700, episodes=demonstrations)
     np.testing.assert_array_equal(everything(runs.second), everything(runs.whole))

@@ -82,7 +82,7 @@ def same_log_columns(run):
     ],
     ids=["ppo", "ppo-normalized", "ppo-sde-schedule", "a2c", "a2c-normalized", "recurrent"],
 )
-def test_resumed_equals_uninterrupted(tmp_path, algo):
+def test_resumed_training_equals_uninterrupted(tmp_path, algo):
     runs = interrupt_and_resume(functools.partial(config, *algo, FOUR), tmp_path, at=40)
     assert runs.summary.resumed_from == str(runs.first / "checkpoints/final.zip")
     np.testing.assert_array_equal(everything(runs.second), everything(runs.whole))
