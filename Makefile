@@ -81,7 +81,13 @@ system-tests: system
 # One more than there are cores: tests of clusters, signals and servers wait.
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --costs $(COSTS)
 
+# Bytecode in a place of its own: tests look through folders from which they import. What is left of
+# modules that earlier tests wrote goes.
+BYTECODE := $(abspath $(VENV))/bytecode
+test test-fast coverage test-warp: export PYTHONPYCACHEPREFIX := $(BYTECODE)
+
 test: venv
+	rm -rf $(BYTECODE)$(or $(TMPDIR),/tmp)
 	$(PYTEST) $(PYTEST_ARGS)
 
 test-fast: venv

@@ -12,12 +12,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
 from packaging.markers import Marker
 from packaging.requirements import Requirement
 
-from scripts import licences, locked, pins, sbom
+from scripts import licences, locked, pins
 
 pytestmark = pytest.mark.slow
 
@@ -241,6 +239,12 @@ def test_the_page_of_licences_is_of_the_lock(repo: Path, packages: list[locked.P
 def test_the_bill_of_materials_is_valid_and_complete(
     packages: list[locked.Package], tmp_path: Path
 ) -> None:
+    # A second to import, in each process that collects the tests.
+    from cyclonedx.schema import SchemaVersion
+    from cyclonedx.validation.json import JsonStrictValidator
+
+    from scripts import sbom
+
     wheel = tmp_path / "a.whl"
     wheel.write_bytes(b"wheel")
     text = sbom.bill(packages, wheel, "1.2.3", 1767323044)

@@ -181,9 +181,10 @@ def test_bytecode_is_kept_whatever_the_shell_says(
     machine.tool("dpkg-query", INSTALLED)
     for stamp in (".installed", ".installed-dev"):
         (tmp_path / stamp).touch()
-    machine.tool("python", '#!/bin/sh\necho "kept${PYTHONDONTWRITEBYTECODE-}"\n')  # of VENV
+    said = "${PYTHONDONTWRITEBYTECODE-kept} $PYTHONPYCACHEPREFIX"
+    machine.tool("python", f'#!/bin/sh\necho "{said}"\n')  # of VENV
     command = ["make", "-s", "-C", repo, "test-fast", f"VENV={tmp_path}", "PYTHON=true"]
     shell = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     shell |= {"PATH": f"{machine.bin}:{shell['PATH']}", "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=shell)
-    assert done.stdout.splitlines()[-1] == "kept"
+    assert done.stdout.splitlines()[-1] == f"kept {tmp_path}/bytecode"

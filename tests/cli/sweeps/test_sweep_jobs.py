@@ -5,8 +5,7 @@ import json
 import os
 import platform
 import shutil
-import subprocess
-import sys
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 
 from embodichain.cli import main
+from tests.helpers.commands import Commands
 from tests.helpers.sweeps import TINY, learned, results, summary
 
 pytestmark = pytest.mark.slow
@@ -159,21 +159,18 @@ def test_runs_are_skipped_or_begin_again(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.unmeasured
-def test_a_signal_to_a_sweep_saves_the_jobs_in_its_workers(tmp_path: Path) -> None:
+def test_a_signal_to_a_sweep_saves_the_jobs_in_its_workers(
+    commands: Commands, tmp_path: Path
+) -> None:
     workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "hydra.launcher.pre_dispatch=2")
     keys = [*TINY, "seed=0,1,2", "total_timesteps=200_000", f"hydra.sweep.dir={tmp_path}/s"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "embodichain", "train", "-m", *workers, *keys],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = commands.start("train", "-m", *workers, *keys)
     try:
         end = time.monotonic() + 200
         while len(list(tmp_path.glob("s/*/progress.csv"))) < 2:
             assert time.monotonic() < end and process.poll() is None, process.communicate()
             time.sleep(0.1)
-        process.terminate()  # this process alone
+        process.send_signal(signal.SIGTERM)  # this process alone
         _, said = process.communicate(timeout=100)
     finally:
         process.kill()

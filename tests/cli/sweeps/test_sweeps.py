@@ -14,6 +14,7 @@ from omegaconf import OmegaConf
 
 from embodichain.cli import main
 from embodichain.cli.sweeps.sweeping import points, towards_scores
+from tests.helpers.commands import Commands
 
 pytestmark = pytest.mark.slow
 
@@ -79,17 +80,15 @@ def test_a_second_sweep_of_a_process_has_its_own_directory(
 
 
 @pytest.mark.unmeasured
-def test_lines_of_parallel_jobs_begin_with_their_job(tmp_path: Path) -> None:
+def test_lines_of_parallel_jobs_begin_with_their_job(commands: Commands, tmp_path: Path) -> None:
     """Of a task that only `--config-dir` has: workers search there too."""
     (tmp_path / "mine/task").mkdir(parents=True)
     (tmp_path / "mine/task/mine.yaml").write_text("defaults:\n  - cart_pole\n")
     workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
     arguments = ("run", f"--config-dir={tmp_path / 'mine'}", "-m", *workers, "task=mine")
     arguments += ("seed=3,4", "max_steps=20", "num_envs=1")
-    command = [sys.executable, "-m", "embodichain", *arguments, "record=none"]
-    done = subprocess.run(
-        [*command, f"output_dir={tmp_path}"], capture_output=True, text=True, check=False
-    )
+    arguments += ("record=none",)
+    done = commands.run(*arguments, f"output_dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     for job, seed in enumerate((3, 4)):
         label = f"[{job} seed={seed}] "
@@ -97,12 +96,7 @@ def test_lines_of_parallel_jobs_begin_with_their_job(tmp_path: Path) -> None:
         assert re.search(rf"^{re.escape(label)} +seed +{seed}$", done.stdout, re.MULTILINE)
     lines = [line for line in done.stdout.splitlines() if line]
     assert all(line.startswith(("[0 seed=3] ", "[1 seed=4] ")) for line in lines)
-    told = subprocess.run(
-        [*command, "--json", f"output_dir={tmp_path / 'json'}"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    told = commands.run(*arguments, "--json", f"output_dir={tmp_path / 'json'}")
     seeds = [json.loads(line)["seed"] for line in told.stdout.splitlines()]
     assert sorted(seeds) == [3, 4], told.stderr
 
@@ -187,11 +181,11 @@ def test_workers_of_a_killed_sweep_end_with_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.unmeasured
-def test_a_worker_that_is_killed_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_worker_that_is_killed_is_said_in_one_line(commands: Commands, tmp_path: Path) -> None:
     words = ("task=cart_pole", "seed=0,1", "num_envs=1", "record=none", "episodes=1000000")
     workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"hydra.sweep.dir={tmp_path}/s")
-    command = [sys.executable, "-m", "embodichain", "run", "-m", *workers, *words, "-q"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as sweep:
+    sweep = commands.start("run", "-m", *workers, *words, "-q")
+    try:
         end = time.monotonic() + 120.0
         while len([*tmp_path.glob("s/[01]/run.log")]) < 2 and time.monotonic() < end:
             time.sleep(0.1)
@@ -199,6 +193,8 @@ def test_a_worker_that_is_killed_is_said_in_one_line(tmp_path: Path) -> None:
         worker = named.index(next(name for name in named if "LokyProcess" in name))
         os.kill(running_children(sweep.pid)[worker], signal.SIGKILL)
         said = sweep.communicate(timeout=60.0)[1].splitlines()
+    finally:
+        sweep.kill()
     assert sweep.returncode == 1
     assert [line for line in said if "was killed" in line] == [
         "a worker was killed (SIGKILL(-9)), perhaps because there was no memory left; "

@@ -1,8 +1,8 @@
 """Behaviour cloning: it does what demonstrations do, from state and from images."""
 
 import csv
+import functools
 import logging
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from embodichain.learning import evaluate, export_policy, load_policy
 from embodichain.learning.cloning.chunks import blend
 from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
+from tests.learning.interrupted import interrupt_and_resume
 from tests.learning.recorded import record
 from tests.learning.training.test_resume import content, everything
 
@@ -121,33 +122,16 @@ def test_a_file_without_python_acts_alike_over_an_episode(trained, tmp_path):
         env.close()
 
 
-def test_resumed_equals_uninterrupted(tmp_path):
-    few, all_ = "total_timesteps=1_920", "checkpoint.every_steps=640"
-    first, second = tmp_path / "first", tmp_path / "second"
-    first.mkdir(), second.mkdir()
-
-    def interrupt(statistics):
-        if statistics.env_steps >= 700:
-            raise KeyboardInterrupt
-
-    whole = tmp_path / "whole"
-    whole.mkdir()
-    train(config(few, all_), whole, episodes=demonstrations)
-    with pytest.raises(KeyboardInterrupt):
-        train(config(few, all_), first, interrupt, episodes=demonstrations)
-    summary = train(config(few, all_, f"resume={first}"), second, episodes=demonstrations)
-    assert summary.resumed_from.startswith(str(first))
-    np.testing.assert_array_equal(everything(second), everything(whole))
+def test_resumed_cloning_equals_uninterrupted(tmp_path):
+    here = functools.partial(config, "total_timesteps=1_920", "checkpoint.every_steps=640")
+    runs = interrupt_and_resume(here, tmp_path, at=700, episodes=demonstrations)
+    np.testing.assert_array_equal(everything(runs.second), everything(runs.whole))
+    resumed = here(f"resume={runs.first}")
     with pytest.raises(ConfigError, match="dataset: it has other demonstrations than those"):
-        train(
-            config(few, all_, f"resume={first}"),
-            tmp_path,
-            episodes=lambda env: demonstrations(env)[:5],
-        )
-    rows, best = Path("progress.csv"), Path("checkpoints/best.zip")  # judged at the same moments
-    train(config(few, all_, f"resume={first}"), first, episodes=demonstrations)
-    np.testing.assert_equal(content(first / rows), content(whole / rows))
-    np.testing.assert_equal(content(first / best), content(whole / best))
+        train(resumed, tmp_path, episodes=lambda env: demonstrations(env)[:5])
+    train(resumed, runs.first, episodes=demonstrations)
+    for path in ("progress.csv", "checkpoints/best.zip"):  # judged at the same moments
+        np.testing.assert_equal(content(runs.first / path), content(runs.whole / path))
 
 
 def test_blend_averages_what_was_predicted_for_the_step():

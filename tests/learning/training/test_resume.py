@@ -1,6 +1,7 @@
 """A training interrupted and resumed equals the uninterrupted one, to the bit."""
 
 import csv
+import functools
 import io
 import json
 import shutil
@@ -21,6 +22,7 @@ from embodichain.learning.sb3.normalization import load_statistics
 from embodichain.learning.training.keeper import find_resumable, state_path
 from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
+from tests.learning.interrupted import interrupt_and_resume
 
 pytestmark = pytest.mark.slow
 
@@ -80,21 +82,11 @@ def same_log_columns(run):
     ],
     ids=["ppo", "ppo-normalized", "ppo-sde-schedule", "a2c", "a2c-normalized", "recurrent"],
 )
-def test_resumed_equals_uninterrupted(tmp_path, algo):
-    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
-    train(config(*algo, FOUR), whole)
-
-    def interrupt(statistics):
-        if statistics.env_steps == 40:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(config(*algo, FOUR), first, interrupt)
-    torch.rand(5)  # what else this process draws does not matter
-    summary = train(config(*algo, FOUR, f"resume={first}"), second)
-    assert summary.resumed_from == str(first / "checkpoints/final.zip")
-    np.testing.assert_array_equal(everything(second), everything(whole))
-    assert same_log_columns(second) == same_log_columns(whole)
+def test_resumed_training_equals_uninterrupted(tmp_path, algo):
+    runs = interrupt_and_resume(functools.partial(config, *algo, FOUR), tmp_path, at=40)
+    assert runs.summary.resumed_from == str(runs.first / "checkpoints/final.zip")
+    np.testing.assert_array_equal(everything(runs.second), everything(runs.whole))
+    assert same_log_columns(runs.second) == same_log_columns(runs.whole)
 
 
 # A step pays less and less, so the first checkpoint has the best score.

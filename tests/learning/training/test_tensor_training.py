@@ -31,6 +31,7 @@ from embodichain.learning.training.train import TrainSummary, check_algorithm, t
 from embodichain.utils.errors import ConfigError
 from tests.helpers.extras import needs
 from tests.learning.counting import CountingEnv
+from tests.learning.interrupted import interrupt_and_resume
 
 pytestmark = [needs("rsl_rl", "skrl"), pytest.mark.slow]
 
@@ -110,7 +111,7 @@ def trained(tmp_path_factory):
 
 
 @BOTH
-def test_two_updates_make_a_checkpoint_that_plays(trained, algo):
+def test_checkpoint_of_two_updates_plays(trained, algo):
     run, resolved = trained(algo), config(*algo, TWO)
     summary, seen = run.summary, run.seen
     assert files(run.folder) == FILES
@@ -138,7 +139,7 @@ def test_two_updates_make_a_checkpoint_that_plays(trained, algo):
 
 
 @BOTH
-def test_rows_have_the_columns_of_other_trainings(trained, algo):
+def test_progress_has_the_columns_of_other_trainings(trained, algo):
     with (trained(algo).folder / "progress.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [int(row["time/total_timesteps"]) for row in rows] == [32, 64]
@@ -151,22 +152,14 @@ def test_rows_have_the_columns_of_other_trainings(trained, algo):
 
 
 @BOTH
-def test_resumed_equals_uninterrupted(tmp_path, algo):
-    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
-    train(config(*algo, FOUR), whole)
-
-    def interrupt(statistics):
-        if statistics.env_steps == 40:  # within an episode
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(config(*algo, FOUR), first, interrupt)
-    assert json.loads((first / "summary.json").read_text())["env_steps"] == 64
-    torch.rand(5)  # what else this process draws does not matter
-    summary = train(config(*algo, FOUR, f"resume={first}"), second)
-    assert summary.resumed_from == str(first / "checkpoints/final.zip")
-    np.testing.assert_array_equal(everything(second), everything(whole))
-    before = json.loads((whole / "summary.json").read_text())
+def test_resumed_tensor_training_equals_uninterrupted(tmp_path, algo):
+    here = functools.partial(config, *algo, FOUR)
+    runs = interrupt_and_resume(here, tmp_path, at=40)  # within an episode
+    assert json.loads((runs.first / "summary.json").read_text())["env_steps"] == 64
+    summary = runs.summary
+    assert summary.resumed_from == str(runs.first / "checkpoints/final.zip")
+    np.testing.assert_array_equal(everything(runs.second), everything(runs.whole))
+    before = json.loads((runs.whole / "summary.json").read_text())
     assert [summary.episodes, summary.mean_return] == [before["episodes"], before["mean_return"]]
 
 
@@ -249,7 +242,7 @@ def test_a_checkpoint_acts_as_the_actor_did_in_training(tmp_path):
     assert found.metadata.columns == ("where/id[0]", "time[0]", "time[1]")
 
 
-def test_another_task_is_refused(trained):
+def test_checkpoint_of_another_task_is_refused(trained):
     env = embodichain.make("reach", 2, ["task.max_episode_steps=9"])
     try:
         with pytest.raises(ConfigError, match="max_episode_steps 7 -> 9"):
@@ -259,7 +252,7 @@ def test_another_task_is_refused(trained):
 
 
 @BOTH
-def test_what_it_learns_balances_the_pole(tmp_path, algo):
+def test_learned_policy_balances_the_pole(tmp_path, algo):
     """11 updates lead from 20 steps on average to hundreds; but for the noise as shipped."""
     steps = algo[1].replace("=8", "=24")
     lines = ["task=cart_pole", algo[0], steps, "algo.action_scale=1.0", "total_timesteps=4224"]
@@ -275,7 +268,7 @@ def test_what_it_learns_balances_the_pole(tmp_path, algo):
 
 
 @BOTH
-def test_the_critic_reads_its_own_groups(tmp_path, algo):
+def test_critic_reads_its_own_groups(tmp_path, algo):
     state = ["task.observations.to_goal.group=critic", "algo.critic_groups=[policy,critic]"]
     train(config(*algo, *state, TWO), tmp_path)
     # 18 + 3 numbers for the critic, 18 for the actor.
@@ -311,7 +304,7 @@ def problems(*lines):
     return {}
 
 
-def test_mistakes_are_told_before_a_training(tmp_path):
+def test_training_mistakes_are_reported_before_it_begins(tmp_path):
     assert problems(*RSL_RL) == {}
     found = problems(*RSL_RL, "algo.critic_groups=[critics]")
     assert found["algo.critic_groups"].startswith("no observation is in group 'critics'")
@@ -327,7 +320,7 @@ def test_mistakes_are_told_before_a_training(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["rsl_rl_ppo", "skrl_ppo"])
-def test_a_missing_package_is_named(monkeypatch, name):
+def test_missing_package_of_an_algorithm_is_named(monkeypatch, name):
     checked = check_types({"task": {}, "algo": {"name": name}})
     assert checked.problems == []
     assert TensorAlgorithm.of(checked.root.algo).name == name
@@ -350,7 +343,7 @@ def test_settings_are_checked_as_those_of_other_algorithms():
     assert "algo.gamma" in wrong(name="skrl_ppo", gamma=0.9)  # skrl's is discount_factor
 
 
-def test_the_generators_are_seeded():
+def test_generators_of_a_learner_are_seeded():
     cfg = check_types({"task": {}, "algo": {"name": "rsl_rl_ppo", "hidden_dims": [4]}}).root.algo
 
     def weights(seed):
