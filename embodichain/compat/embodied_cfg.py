@@ -98,6 +98,8 @@ def _sensor(cfg: Any) -> Any:
     """A sensor as EmbodiChain has it: observed, and with its axes of cameras."""
     if not isinstance(cfg, CameraCfg):
         return cfg
+    if cfg.camera is not None:  # it has the pose of that camera
+        return dataclasses.replace(cfg, observe=True)
     attached = cfg.extrinsics.parent or cfg.of.uid
     convention = cfg.convention or ("opengl" if attached else "ros")
     return dataclasses.replace(cfg, observe=True, convention=convention)
