@@ -102,6 +102,8 @@ def _convert_sensor(cfg: Any) -> Any:
     """Return a sensor as EmbodiChain has it: observed, and with its axes of cameras."""
     if not isinstance(cfg, CameraCfg):
         return cfg
+    if cfg.camera is not None:  # it has the pose of that camera
+        return dataclasses.replace(cfg, observe=True)
     convention = cfg.convention
     if not convention:
         is_attached = cfg.extrinsics.parent or cfg.of.uid

@@ -15,7 +15,7 @@ import lazy_loader
 import numpy as np
 
 from embodichain.lab.gym.expert.arms import ControlledArm, DeclaredArm, arms_of, find_arm
-from embodichain.lab.gym.expert.instructions import Move
+from embodichain.lab.gym.expert.instructions import Facing, Move
 from embodichain.lab.gym.expert.program import check_steps
 from embodichain.lab.gym.expert.reading import ReadStep, flat_steps
 from embodichain.utils.errors import ConfigError, Problem
@@ -127,7 +127,7 @@ def _aligned_arms(step: ReadStep) -> list[str]:
     for phase in step.phases:
         for arm, instructions in phase.items():
             goals = [item.goal for item in instructions if isinstance(item, Move)]
-            if any(goal.align is not None and not goal.held for goal in goals):
+            if any(isinstance(goal.turn, Facing) and not goal.held for goal in goals):
                 arms.append(arm)
     return arms
 

@@ -6,7 +6,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-__all__ = ["EXACT", "Goal", "Grip", "Instruction", "Move", "Phase", "Target", "Vector", "Wait"]
+__all__ = [
+    "EXACT",
+    "Beyond",
+    "Facing",
+    "Goal",
+    "Grip",
+    "Instruction",
+    "Move",
+    "Oriented",
+    "Phase",
+    "Target",
+    "Turn",
+    "Vector",
+    "Wait",
+]
 
 Target = str | Callable[..., Any]
 """``ENTITY``, ``ENTITY/LINK``, a command, ``world``; in Python also ``f(env) -> (N, 7)`` poses."""
@@ -16,26 +30,64 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
+class Facing:
+    """Turns the tool, or what it holds, about the vertical until its axes are a target's.
+
+    Attributes:
+        target: What it is turned to.
+        symmetry: Directions in a full turn that are as good.
+        level: Whether a tool that does not point up or down is turned as well.
+    """
+
+    target: Target
+    symmetry: int = 4
+    level: bool = False
+
+
+@dataclass(frozen=True)
+class Oriented:
+    """Gives the tool an orientation.
+
+    Attributes:
+        rpy: Roll, pitch, yaw about fixed axes, those of the goal, in rad.
+    """
+
+    rpy: Vector
+
+
+Turn = Facing | Oriented
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """A place beyond the target, on the horizontal line from another one.
+
+    Attributes:
+        start: The other target.
+        distance: Metres.
+    """
+
+    start: Target
+    distance: float
+
+
+@dataclass(frozen=True)
 class Goal:
     """A pose for the tool, or for what it holds, computed when the motion begins.
 
-    Three examples. ``Goal(target="cube", back=0.1)`` is 10 cm behind the cube along the tool's own
-    axis: where a grasp begins. ``Goal(target="goal", held=True)`` has what the gripper holds at
-    the goal, wherever it was grasped: where it is placed. ``Goal(target="cube", start="goal",
-    beyond=0.05)`` is 5 cm beyond the cube, seen from the goal: where a push to the goal begins.
+    Three examples. ``Goal("cube", back=0.1)`` is 10 cm behind the cube along the tool's own axis:
+    where a grasp begins. ``Goal("goal", held=True)`` has what the gripper holds at the goal,
+    wherever it was grasped: where it is placed. ``Goal("cube", beyond=Beyond("goal", 0.05))`` is
+    5 cm beyond the cube, seen from the goal: where a push to the goal begins.
 
     Attributes:
         target: What the position is relative to; None is where the tool is on its path.
         offset: Metres.
-        axes: Axes of `offset` and `rpy`: those of the environment, the target or the tool.
+        axes: Axes of `offset` and of an orientation: of the environment, the target or the tool.
         above: Metres up from there.
         back: Metres back along the tool's z axis, which points out of a gripper.
-        align: What it is turned to about the vertical; None keeps the orientation.
-        symmetry: Directions in a full turn that are as good.
-        level: Whether a tool that does not point up or down is aligned as well.
-        rpy: Orientation, roll, pitch, yaw about fixed axes in rad; None keeps it.
-        beyond: Metres beyond the target, on the horizontal line from `start`.
-        start: Another target.
+        turn: How it is turned; None keeps the orientation.
+        beyond: A place beyond the target instead.
         held: Whether the pose is that of what the gripper holds.
     """
 
@@ -44,12 +96,8 @@ class Goal:
     axes: Literal["world", "target", "tool"] = "world"
     above: float = 0.0
     back: float = 0.0
-    align: Target | None = None
-    symmetry: int = 4
-    level: bool = False
-    rpy: Vector | None = None
-    beyond: float = 0.0
-    start: Target | None = None
+    turn: Turn | None = None
+    beyond: Beyond | None = None
     held: bool = False
 
 

@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.managers.param_types import Fraction
 from embodichain.lab.gym.envs.managers.terms.check import check_params
 from embodichain.lab.gym.envs.managers.terms.registry import TermSpec, describe_term
 from embodichain.lab.gym.expert.instructions import Grip, Instruction, Phase, Target
-from embodichain.lab.gym.expert.step_register import COMPOSITES, STEPS, Aim, Arm, Maker
+from embodichain.lab.gym.expert.step_register import COMPOSITES, STEPS, Aim, Arm, Maker, Turns
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import show_value
 from embodichain.utils.suggest import did_you_mean
@@ -130,6 +130,7 @@ def _read_plain_step(name: str, value: Any, path: str, number: str, lane: str | 
         key: params.pop(key) for key in ("arm", "speed") if key in params
     }
     values, problems = check_params(spec, params, path)
+    problems += _check_turns(spec, values, path)
     shared, shared_problems = check_params(_shared_spec(), shared_params, path)
     if problems or shared_problems:
         raise ConfigError([*problems, *shared_problems])
@@ -156,6 +157,22 @@ def _read_plain_step(name: str, value: Any, path: str, number: str, lane: str | 
         for arm_name, group in groupby(instructions, lambda instruction: instruction.arm)
     ]
     return ReadStep(path, phases, targets, {"arm": arm} | other_arms, lane=lane)
+
+
+def _check_turns(spec: TermSpec, values: Mapping[str, Any], path: str) -> list[Problem]:
+    """Return the keys of a step that turn the tool in a way that another key replaces."""
+    if not _parameters_of_type(spec, Turns):
+        return []
+    has_orientation = values.get("rpy") is not None
+    if has_orientation:
+        message = "has no effect: rpy is the whole orientation; leave one of them out"
+        return [
+            Problem(f"{path}.{key}", message) for key in ("align", "symmetry") if values.get(key)
+        ]
+    align = values.get("align", spec.params["align"].default)
+    if "symmetry" in values and not align:
+        return [Problem(f"{path}.symmetry", "has no effect: nothing to align with is given")]
+    return []
 
 
 def _check_lane(lane: str, arm: str, other_arms: Mapping[str, str], path: str) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 
 from embodichain.lab.gym.envs.managers.param_types import Fraction, NonNegative, Positive
-from embodichain.lab.gym.expert.instructions import Goal, Vector
+from embodichain.lab.gym.expert.instructions import Beyond, Facing, Goal, Oriented, Turn, Vector
 from embodichain.lab.gym.expert.step_register import (
     PASSING_DISTANCE,
     STEPS,
@@ -33,6 +33,17 @@ _NEAR = 0.004
 """Distance in metres that the tool must be within where it grasps, releases or presses."""
 
 
+def _turn(
+    align: Aim | None, symmetry: Turns, rpy: Vector | None = None, *, level: bool = False
+) -> Turn | None:
+    """How the tool is turned: to an orientation, or to a target, or not at all."""
+    if rpy is not None:
+        return Oriented(rpy)
+    if align is not None:
+        return Facing(align, symmetry, level)
+    return None
+
+
 @expert_step("move_to")
 def move_to(
     make: Maker,
@@ -50,7 +61,8 @@ def move_to(
     It fails farther from it than `tolerance`; below 0.02 it comes to rest there. With
     None it continues as soon as the tool was sent there.
     """
-    goal = Goal(to, offset, axes, align=align, symmetry=symmetry, rpy=rpy, held=held, level=True)
+    turn = _turn(align, symmetry, rpy, level=True)
+    goal = Goal(to, offset, axes, turn=turn, held=held)
     yield make.move(goal, tolerance)
 
 
@@ -70,8 +82,8 @@ def grasp(
     With `align`, a tool that points up or down is turned about the vertical, so that its fingers
     are parallel to faces of the target.
     """
-    turned = of if align and rpy is None else None
-    goal = Goal(of, offset, axes, align=turned, symmetry=symmetry, rpy=rpy)
+    turn = _turn(of if align else None, symmetry, rpy)
+    goal = Goal(of, offset, axes, turn=turn)
     if approach:
         yield make.move(dataclasses.replace(goal, back=approach))
     yield make.move(goal, _NEAR)
@@ -111,7 +123,8 @@ def place(
     lowering: Fraction = 0.5,
 ) -> Made:
     """Moves what is held above the target, lowers it at the speed `lowering`, releases it."""
-    goal = Goal(to, offset, axes, align=align, symmetry=symmetry, held=True, level=True)
+    turn = _turn(align, symmetry, level=True)
+    goal = Goal(to, offset, axes, turn=turn, held=True)
     if above:
         yield make.move(dataclasses.replace(goal, above=above))
     yield make.move(goal, _NEAR, lowering)
@@ -134,10 +147,10 @@ def push(
     `clearance` farther behind.
     """
     offset = (0.0, 0.0, height)
-    start = Goal(of, offset, beyond=behind + clearance, start=to)
+    start = Goal(of, offset, beyond=Beyond(to, behind + clearance))
     yield make.move(dataclasses.replace(start, above=above))
     yield make.move(start)
-    yield make.move(Goal(to, offset, beyond=-behind, start=of))
+    yield make.move(Goal(to, offset, beyond=Beyond(of, -behind)))
     yield from lift(make, above)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.gym.expert.arms import ControlledArm, DeclaredArm, find_arm
-from embodichain.lab.gym.expert.instructions import Goal, Move
+from embodichain.lab.gym.expert.instructions import Facing, Goal, Move, Oriented, Target
 from embodichain.lab.gym.expert.targets import WORLD, TargetPoses
 from embodichain.lab.gym.expert.trajectories import ToolPath, length
 from embodichain.utils.errors import Problem
@@ -70,8 +70,9 @@ class ToolGoals:
             target_pos, target_quat = self._targets(goal.target)
             pos = target_pos[env_ids]
             axes = target_quat[env_ids]
-        if goal.start is not None:
-            pos = pos + goal.beyond * self._direction(goal, env_ids)
+        if goal.beyond is not None:
+            direction = self._direction(goal.target or WORLD, goal.beyond.start, env_ids)
+            pos = pos + goal.beyond.distance * direction
         if goal.axes == "world":
             axes = np.tile(_NO_TURN, (len(env_ids), 1))
         elif goal.axes == "tool":
@@ -81,16 +82,16 @@ class ToolGoals:
 
         held_pos, held_quat = self._held_pose(goal, env_ids)
         quat = tool_quat
-        if goal.rpy is not None:
+        if isinstance(goal.turn, Oriented):
             # About fixed axes, roll first: the inverse of the intrinsic rotations by -rpy.
-            rotation = quat_conjugate(euler_xyz_to_quat(-np.asarray(goal.rpy, np.float64)))
+            rotation = quat_conjugate(euler_xyz_to_quat(-np.asarray(goal.turn.rpy, np.float64)))
             quat = quat_multiply(axes, np.tile(rotation, (len(env_ids), 1)))
-        elif goal.align is not None and self._arm.term.orientation == "any":
+        elif goal.turn is not None and self._arm.term.orientation == "any":
             facing = quat_multiply(tool_quat, held_quat)
             if not goal.held:
                 facing = self._fingers_along_x(facing)
-            turn = self._turn(goal, facing, tool_quat, env_ids)
-            quat = quat_multiply(turn, tool_quat)
+            rotation = self._rotation_to(goal.turn, facing, tool_quat, env_ids)
+            quat = quat_multiply(rotation, tool_quat)
         # What is held, or the point ahead of the tool, is at the place: the tool is behind it.
         held_offset = held_pos + np.tile([0.0, 0.0, goal.back], (len(env_ids), 1))
         return pos - quat_rotate(quat, held_offset), quat
@@ -102,11 +103,11 @@ class ToolGoals:
         turn = rotvec_to_quat(np.array([0.0, 0.0, self._fingers.angle]))
         return quat_multiply(quat, np.tile(turn, (len(quat), 1)))
 
-    def _direction(self, goal: Goal, env_ids: EnvIds) -> F64:
-        """(n, 3) horizontal unit vectors, away from `goal.start` through the target."""
-        end, _ = self._targets(goal.target or WORLD)
-        start, _ = self._targets(goal.start or WORLD)
-        way = (end - start)[env_ids]
+    def _direction(self, target: Target, start: Target, env_ids: EnvIds) -> F64:
+        """(n, 3) horizontal unit vectors, away from another target through a target."""
+        end_pos, _ = self._targets(target)
+        start_pos, _ = self._targets(start)
+        way = (end_pos - start_pos)[env_ids]
         way[:, 2] = 0.0
         return way / np.maximum(length(way), 1e-9)[:, None]
 
@@ -126,13 +127,13 @@ class ToolGoals:
             quat[holds_this] = quat_multiply(to_tool[holds_this], target_quat[env_ids][holds_this])
         return pos, quat
 
-    def _turn(self, goal: Goal, facing: F64, tool_quat: F64, env_ids: EnvIds) -> F64:
+    def _rotation_to(self, turn: Facing, facing: F64, tool_quat: F64, env_ids: EnvIds) -> F64:
         """(n, 4) smallest rotation about the vertical that makes axes parallel to the target's."""
-        _, align_quat = self._targets(goal.align or WORLD)
-        period = 2.0 * np.pi / goal.symmetry
+        _, align_quat = self._targets(turn.target)
+        period = 2.0 * np.pi / turn.symmetry
         angle = _heading(align_quat[env_ids]) - _heading(facing) + 0.5 * period
         angle = angle - period * np.floor(angle / period) - 0.5 * period
-        if not goal.level:
+        if not turn.level:
             is_upright = np.abs(quat_to_matrix(tool_quat)[:, 2, 2]) > _VERTICAL
             angle = np.where(is_upright, angle, 0.0)
         zero = np.zeros_like(angle)
@@ -169,4 +170,4 @@ def check_orientations(
 
 def _is_oriented(goal: Goal) -> bool:
     """Whether a goal needs an arm that can turn its tool."""
-    return bool(goal.rpy) or (goal.align is not None and goal.level)
+    return isinstance(goal.turn, Oriented) or (isinstance(goal.turn, Facing) and goal.turn.level)

@@ -9,10 +9,12 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from embodichain.lab.sim.configs.contact_cfg import ContactCfg
 from embodichain.utils.configclass import configclass
+from embodichain.utils.errors import Problem
 from embodichain.utils.fields.no_effect import NoEffect
 from embodichain.utils.fields.value_checks import are_finite, is_not_zero, require
 
@@ -69,6 +71,8 @@ def is_color(rgb: Sequence[float]) -> bool:
     return all(0 <= share <= 1 for share in rgb)
 
 
+_VIEW_PLACES = ("eye", "direction", "camera")
+"""Keys of a view that say where it is."""
 DEFAULT_VIEW = "default"
 """The view that every scene has."""
 
@@ -373,3 +377,43 @@ class ViewCfg:
     follow: Literal["position", "pose"] = "position"
     """``position``: the view does not turn with `body`. ``pose``: it is fixed on it, and `eye` and
     `target` are in its frame."""
+
+    def check(self) -> list[Problem]:
+        """Return the mistakes of values that do not go together, with paths below it."""
+        given = [name for name in _VIEW_PLACES if getattr(self, name) is not None]
+        if len(given) != 1:
+            got = " and ".join(given) or "none"
+            return [Problem("", f"needs one of {', '.join(_VIEW_PLACES)}, got {got}")]
+        if self.camera is not None:
+            problems = self._check_camera()
+        elif self.direction is not None:
+            problems = self._check_direction()
+        else:
+            problems = self._check_eye()
+        if self.follow != "position" and self.body is None:
+            problems.append(Problem("follow", "belongs to body: the view follows nothing"))
+        return problems
+
+    def _check_camera(self) -> list[Problem]:
+        """A camera of a file has its own pose."""
+        message = "has no effect on a camera of a file: leave it out"
+        given = [name for name in ("target", "body") if getattr(self, name) is not None]
+        if tuple(self.up) != ViewCfg.up:
+            given.append("up")
+        return [Problem(name, message) for name in given]
+
+    def _check_direction(self) -> list[Problem]:
+        """A distance that shows the whole scene has no meaning beside one body."""
+        if self.body is None:
+            return []
+        return [Problem("body", "needs eye, relative to the body, not direction")]
+
+    def _check_eye(self) -> list[Problem]:
+        """Without a target and a body, the camera looks at the middle of the scene."""
+        if self.target is None and self.body is None:
+            return []
+        target = (0.0, 0.0, 0.0) if self.target is None else self.target
+        if self.eye is None or not np.allclose(self.eye, target):
+            return []
+        message = f"the camera is at the point it looks at, {[float(x) for x in self.eye]}"
+        return [Problem("eye", message)]

@@ -235,6 +235,7 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
         "fovy": cfg.fovy,
         "intrinsics": cfg.intrinsics,
         "of": cfg.of.uid,
+        "convention": cfg.convention,
         "extrinsics": cfg.extrinsics != ExtrinsicsCfg(),
     }
     message = HAS_ITS_OWN.format(cfg.camera)

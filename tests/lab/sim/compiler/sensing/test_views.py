@@ -190,6 +190,10 @@ WRONG = {
         {"camera": "r/eye", "target": [0, 0, 0]},
         "views.v.target: has no effect on a camera of a file",
     ),
+    "camera and up": (
+        {"camera": "r/eye", "up": [1, 0, 0]},
+        "views.v.up: has no effect on a camera of a file",
+    ),
     "direction of a body": (
         {"direction": [1, 0, 0], "body": "a"},
         "views.v.body: needs eye, relative to the body, not direction",
