@@ -27,9 +27,9 @@ from embodichain.learning import SB3VecEnv
 SIZES = (1, 4, 8, 64)
 LARGE = 1024
 THREAD = "sim.num_threads=1"
-TASKS = ("reach", "quadruped_velocity")
-SB3_TARGETS = {1: 0.5, 4: 0.8, 8: 1.2, 64: 2.0}
-TASK_TARGETS = {"reach": 1.5, "quadruped_velocity": 6.0}
+TASKS = ("reach", "quadruped_velocity", "pick_place")
+SB3_TARGETS = {1: 0.55, 4: 1.0, 8: 1.25, 64: 1.9}
+TASK_TARGETS = {"reach": 1.7, "quadruped_velocity": 5.9, "pick_place": 11.0}
 FLOOR_TARGET = 0.93
 
 

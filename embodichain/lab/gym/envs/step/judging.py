@@ -227,6 +227,8 @@ class StepJudge:
         curriculum: CurriculumManager,
     ) -> None:
         self._env = env
+        self._arrays = env.arrays
+        self._num_envs = env.num_envs
         self._hooks = hooks
         self._episodes = episodes
         self._actions = actions
@@ -342,8 +344,11 @@ class StepJudge:
     def _either(self, mask: Mask | None, other: Mask | None) -> Mask:
         """(N,) where either of two masks is set; None is a mask without a flag."""
         if mask is None:
-            return np.zeros_like(self._episodes.success) if other is None else other
+            return self._no_flags() if other is None else other
         return mask if other is None else mask | other
+
+    def _no_flags(self) -> Mask:
+        return self._arrays.full(self._num_envs, False, np.bool_)
 
     def _complete(self, info: Info, result: StepResult) -> None:
         """Add what is judged beside the terms to ``info``."""
