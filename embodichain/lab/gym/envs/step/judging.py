@@ -227,6 +227,8 @@ class StepJudge:
         curriculum: CurriculumManager,
     ) -> None:
         self._env = env
+        self._arrays = env.arrays
+        self._num_envs = env.num_envs
         self._hooks = hooks
         self._episodes = episodes
         self._actions = actions
@@ -284,18 +286,7 @@ class StepJudge:
             kwargs: Those of `step`.
         """
         info = self._class_info(kwargs) if self.shares_info else None
-        result = self._ends(obs, action, info)
-        result.metrics.update(self._metrics.compute(obs, action, info))
-        if self._actions.has_metrics:
-            self._actions.report(result.metrics)
-        if self._commands.has_metrics:
-            self._commands.report(result.metrics)
-        if "success" in result.metrics:
-            result.success = result.metrics["success"] > 0
-        if self._curriculum.terms:
-            result.curriculum = dict(self._curriculum.values)
-        if info is not None:
-            self._complete(info, result)
+        result = self._outcome(obs, action, info)
         self._episodes.success = result.success
         result.reward = self._reward(obs, action, info)
         result.rewards = self._rewards.values
@@ -311,6 +302,24 @@ class StepJudge:
         info["elapsed_steps"] = self._env.elapsed_steps
         return info
 
+    def _outcome(self, obs: Any, action: Any, info: Info | None) -> StepResult:
+        """Return the result with terminations and metrics, added to ``info`` where it is made."""
+        result = self._ends(obs, action, info)
+        result.metrics = self._metrics.compute(obs, action, info)
+        if self._actions.has_metrics:
+            self._actions.report(result.metrics)
+        if self._commands.has_metrics:
+            self._commands.report(result.metrics)
+        if self._curriculum.terms:
+            result.curriculum = dict(self._curriculum.values)
+        if info is not None:
+            self._complete(info, result)
+            # The metric `success`, declared or of the class, has replaced it.
+            result.success = self._arrays.of(info["success"]).copy()
+        elif "success" in result.metrics:
+            result.success = result.metrics["success"] > 0
+        return result
+
     def _ends(self, obs: Any, action: Any, info: Info | None) -> StepResult:
         """Return the result with what ends episodes: the class's success and terminations."""
         env = self._env
@@ -321,19 +330,16 @@ class StepJudge:
         masks = self._terminations.compute(obs, action, info)
         success = self._either(masks.get("success"), class_masks.get("success"))
         fail = self._either(masks.get("fail"), class_masks.get("fail"))
-        metrics: dict[str, NDArray[Any]] = {}
         if info is not None:
             info["success"] = tensor_of(success.copy())
             info["fail"] = tensor_of(fail.copy())
             info["success_terminated"] = tensor_of(success.copy())
-            class_metrics = info.get("metrics", {})
-            metrics = {name: env.arrays.of(value) for name, value in class_metrics.items()}
         return StepResult(
             success_terminated=success,
             fail=fail,
             time_out=masks.get("time_out"),
             success=success,
-            metrics=metrics,
+            metrics={},
             curriculum={},
             class_info=info,
             terminations=self._terminations.values,
@@ -342,8 +348,11 @@ class StepJudge:
     def _either(self, mask: Mask | None, other: Mask | None) -> Mask:
         """(N,) where either of two masks is set; None is a mask without a flag."""
         if mask is None:
-            return np.zeros_like(self._episodes.success) if other is None else other
+            return self._no_flags() if other is None else other
         return mask if other is None else mask | other
+
+    def _no_flags(self) -> Mask:
+        return self._arrays.full(self._num_envs, False, np.bool_)
 
     def _complete(self, info: Info, result: StepResult) -> None:
         """Add what is judged beside the terms to ``info``."""

@@ -35,7 +35,8 @@ class StepResult:
         fail: (N,) bool, a failure, which ends episodes.
         time_out: (N,) bool of terminations that truncate; None without such a term.
         success: (N,) bool, the metric ``success`` above 0, and without it `success_terminated`.
-        metrics: Name -> (N,) metric of the episode so far, those of actions and commands included.
+        metrics: Name -> (N,) metric of the episode so far, those of actions and commands included,
+            without those that only `class_info` has.
         curriculum: The last results of the curricula.
         terminations: Values of the termination terms.
         reward: (N,) float32.
