@@ -289,7 +289,14 @@ class Execution:
         if not len(rows):
             return
         pos, quat = arm.goals.pose(move.goal, rows)
-        is_reachable = arm.path.plan(rows, pos, quat, move.speed)
+        is_reachable = arm.path.plan(
+            rows,
+            pos,
+            quat,
+            move.speed,
+            free=move.goal.free,
+            along=move.goal.along,
+        )
         for row, place in zip(rows[~is_reachable], pos[~is_reachable], strict=True):
             obstacle = arm.path.obstacles[int(row)]
             why = f"no straight line of the tool to {as_place(place)}: {obstacle}"

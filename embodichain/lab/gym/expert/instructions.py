@@ -37,6 +37,8 @@ class Goal:
         beyond: Metres beyond the target, on the horizontal line from `start`.
         start: Another target.
         held: Whether the pose is that of what the gripper holds.
+        free: Whether any orientation of the tool will do.
+        along: What moves straight on the way: the tool, or each joint.
     """
 
     target: Target | None = None
@@ -51,6 +53,8 @@ class Goal:
     beyond: float = 0.0
     start: Target | None = None
     held: bool = False
+    free: bool = False
+    along: Literal["tool", "joints"] = "tool"
 
 
 @dataclass(frozen=True)
