@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass, replace
 from typing import Any
 
-from embodichain.config.checks.embodiment_needs import EMBODIMENT
 from embodichain.config.checks.validation import check_tree, named_maps
+from embodichain.config.composition.embodiments import EMBODIMENT
 from embodichain.config.keys.schema import RootCfg
 from embodichain.config.resolved import Checked, Resolved, thaw
 from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 
-__all__ = ["UR10", "describe_robot"]
+__all__ = ["FOOT_NAME", "UR10", "RobotFile", "describe_robot", "read_robot_file"]
 
 _RESERVED_UIDS = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
@@ -63,6 +63,8 @@ _TOOL_NAME = re.compile(
     rf"(?:^|[/_])({'|'.join(_TOOL_WORDS)})(?:per)?0?(?:_site|_frame|_point|_center|_link)*$",
     re.IGNORECASE,
 )
+FOOT_NAME = re.compile(r"foot|toe|sole|ankle_roll", re.IGNORECASE)
+"""How links are called on which robots stand."""
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
 
 
@@ -139,6 +141,69 @@ class _NewRobot:
             "imports": _IMPORTS if self.has_drives else _DRIVEN_IMPORTS,
             "gains": "" if self.has_drives else _GAINS,
         }
+
+
+@dataclass(frozen=True, eq=False)
+class RobotFile:
+    """A robot's file, and what was guessed of it.
+
+    Attributes:
+        parsed: The file.
+        data: Its model in the guessed first pose.
+        tool: What looks like its tool.
+        home: (D,) joint positions of the first pose, rad or m.
+        height: Height of its root above the ground, m.
+        is_floating: Whether its base is not fixed to the world.
+    """
+
+    parsed: ParsedArticulation
+    data: mujoco.MjData
+    tool: ToolFrame
+    home: tuple[float, ...]
+    height: float
+    is_floating: bool
+
+
+def read_robot_file(fpath: str) -> RobotFile:
+    """Read a robot's file, and guess its tool and its first pose.
+
+    Args:
+        fpath: A URDF or MJCF, as `get_data_path` takes it.
+
+    Raises:
+        ConfigError: If the file does not exist or cannot be read, or if no joint can move.
+    """
+    import mujoco
+    import numpy as np
+
+    from embodichain.lab.sim.compiler.robot.files.robot_files import locate, read_model
+
+    file = read_model(locate(fpath))
+    is_floating = bool((file.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any())
+    parsed = _parse(fpath, is_floating)
+    feet = [name for name in parsed.link_names if FOOT_NAME.search(name)]
+    if len(feet) > 1 and not is_floating:  # a URDF does not say that its base moves
+        is_floating = True
+        parsed = _parse(fpath, is_floating)
+    active = [i for i in range(len(parsed.joint_names)) if i not in parsed.mimic_ids]
+    if not active:
+        raise ConfigError(f"{parsed.path}: no joint moves: there is nothing to act on")
+    data = _first_state(parsed, is_floating)
+    tool = _find_tool(parsed)
+    if not is_floating and parsed.keyframe is None and not _unservoed_joints(parsed, active):
+        scales = _scales(parsed, active)
+        joints = list(scales)
+        reach = ToolReach(parsed.model, data, tool, joints, scale=np.array(list(scales.values())))
+        _bend(parsed, data, reach, joints, _SUFFICIENT_REACH * 0.2)
+    lift = _lift(lowest_point(parsed.model, data), is_floating)
+    return RobotFile(
+        parsed=parsed,
+        data=data,
+        tool=tool,
+        home=tuple(round(float(data.joint(n).qpos[0]), 4) for n in parsed.joint_names),
+        height=lift + float(parsed.placement.root_pos[2]) if is_floating else lift,
+        is_floating=is_floating,
+    )
 
 
 def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float | None]:

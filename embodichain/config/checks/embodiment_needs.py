@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from embodichain.config.composition.composed import Composed, compose, list_options
+from embodichain.config.composition.embodiments import EMBODIMENT
 from embodichain.config.composition.locate import COMMAND_LINE
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.scene_entity import references_in
@@ -19,10 +20,8 @@ from embodichain.lab.sim.compiler.names import Known, pick
 from embodichain.lab.sim.configs.references import FRAME_KEYS, LinksCfg
 from embodichain.utils.errors import Problem
 
-__all__ = ["EMBODIMENT", "check_embodiment"]
+__all__ = ["check_embodiment"]
 
-EMBODIMENT = "embodiment"
-"""The group, and the key path of the mistake that an embodiment lacks something."""
 _CHOICE = f"{EMBODIMENT}@task"
 """The choice of an embodiment, as Hydra calls it."""
 _GRIPPER_ACTION = "parallel_gripper"

@@ -56,7 +56,7 @@ def test_an_action_has_names_units_and_a_frame_in_every_format(tmp_path):
     with recording.open(log) as opened:
         table = export(opened, "hdf5", tmp_path / "log.hdf5")
         assert opened.columns["actions"][0].name == "tool/x"
-        said = "Pick up a cube from a table and put it on a stand, with a gripper on a UR10."
+        said = "Pick up a cube from a table and put it on a stand, with a gripper."
     for path in (table, export_episodes(log, "robomimic", tmp_path / "set.hdf5", failures=True)):
         with h5py.File(path) as file:
             demo = file["data/demo_0"]

@@ -26,6 +26,7 @@ _FAULT = "cannot load"
 _KINDS = (
     "tasks",
     "variations",
+    "embodiments",
     "robots",
     "policies",
     "terms",
@@ -55,6 +56,7 @@ class ListOptions:
     "list",
     ("list tasks", "every task that task=NAME finds"),
     ("list variations", "what variation=[NAME,...] finds"),
+    ("list embodiments", "robots that embodiment=NAME puts into a task"),
     ("list robots", "robot files that a task can name"),
     ("list policies", "trained policies that ship, and how often they succeed"),
     ("list terms", "functions for events, observations, rewards, ..."),
@@ -78,6 +80,7 @@ def command(options: ListOptions) -> None:
     makers = {
         "tasks": lambda: _options("task"),
         "variations": lambda: _options("variation"),
+        "embodiments": _embodiments,
         "robots": _robots,
         "policies": _policies,
         "terms": _terms,
@@ -139,6 +142,32 @@ def _description(source: ConfigSource, path: str) -> str:
     if is_from_env(description):  # may be a secret
         return str(shown(description))
     return str(config.get("description", ""))
+
+
+def _embodiments() -> Rows:
+    """Every option of the group `embodiment` in the search path, and the names that it gives."""
+    from embodichain.config.composition.embodiments import list_embodiments
+    from embodichain.data import get_data_path
+
+    rows = []
+    for embodiment in list_embodiments():
+        fault = embodiment.fault
+        for fpath in embodiment.files:
+            try:
+                get_data_path(fpath)
+            except (ConfigError, OSError) as error:
+                fault = fault or str(error).partition(". Searched")[0].splitlines()[0]
+        rows.append(
+            {
+                "name": embodiment.name,
+                "robots": ", ".join(embodiment.robots),
+                "names": ", ".join(embodiment.names),
+                "control parts": ", ".join(embodiment.parts),
+                "from": embodiment.source,
+                _FAULT: fault,
+            }
+        )
+    return rows
 
 
 def _robots() -> Rows:

@@ -91,8 +91,8 @@ class NewOptions:
     """What was typed after `new`.
 
     Attributes:
-        what: ``task``, the only kind so far.
-        name: The name of the task.
+        what: ``task`` or ``embodiment``.
+        name: The name of the task or the embodiment.
         python: Write a class instead of YAML alone.
         robot: Path of the robot's URDF or MJCF.
         json: Print the result as one JSON object.
@@ -113,9 +113,13 @@ class NewOptions:
         "new task my_pick --robot panda_description/urdf/panda.urdf",
         "for a robot of yours: its joints, its links",
     ),
+    (
+        "new embodiment my_arm --robot my_arm.urdf",
+        "conf/embodiment/my_arm.yaml: your robot in every task",
+    ),
     options=NewOptions,
 )
-@click.argument("what", metavar="task", type=click.Choice(["task"]))
+@click.argument("what", metavar="task|embodiment", type=click.Choice(["task", "embodiment"]))
 @click.argument("name", metavar="NAME")
 @click.option("--python", is_flag=True, help="A class instead of YAML alone.")
 @click.option("--robot", metavar="FILE", help="Its URDF or MJCF: embodichain list robots.")
@@ -125,6 +129,9 @@ def command(options: NewOptions) -> None:
     Raises:
         ConfigError: If the name is not allowed, or a file exists; nothing is written.
     """
+    if options.what == "embodiment":
+        _write_embodiment(options)
+        return
     _check_name(options.name)
     project = _read_pyproject()
     names = _names(options.name, project)
@@ -139,6 +146,38 @@ def command(options: NewOptions) -> None:
     _write(files)
     toml = _missing_toml(project, names, python=options.python)
     _report(files, step, _next_commands(names), toml, json=options.json)
+
+
+def _write_embodiment(options: NewOptions) -> None:
+    """Write an embodiment, and print what was guessed.
+
+    Raises:
+        ConfigError: If there is no robot, the name is not allowed, or the file exists.
+    """
+    from embodichain.cli.new_task.new_embodiment import embodiment_text, guess_embodiment
+    from embodichain.config.composition.composed import list_options
+
+    name = options.name
+    if options.robot is None:
+        raise ConfigError("new embodiment needs the robot's file: --robot FILE")
+    if options.python:
+        raise ConfigError("--python goes with `new task`")
+    if not (name.isidentifier() and name.isascii()) or keyword.iskeyword(name):
+        raise ConfigError(f"'{name}' is not a name for an embodiment: letters, digits and _")
+    path = _names(name, _read_pyproject()).conf / "embodiment" / f"{name}.yaml"
+    if name in list_options("embodiment") and not path.exists():
+        raise ConfigError(f"there is an embodiment '{name}' already: embodichain list embodiments")
+    guesses = guess_embodiment(options.robot)
+    _write({path: embodiment_text(name, guesses)})
+    command = f"embodichain validate task=reach embodiment={name}"
+    if options.json:
+        listed = [{"key": g.key, "value": g.value, "why": g.why} for g in guesses]
+        print_json({"wrote": [path.as_posix()], "guessed": listed, "next": [command]})
+        return
+    lines = [f"wrote {path.as_posix()}", "", "guessed:"]
+    lines += [f"  {guess}" for guess in guesses]
+    lines += ["", "next:", f"  {command}"]
+    sys.stdout.write("\n".join(lines) + "\n")
 
 
 def _report(

@@ -309,7 +309,14 @@ class Execution:
         if not len(env_ids):
             return
         pos, quat = arm.goals.pose(move.goal, env_ids)
-        is_reachable = arm.path.plan(env_ids, pos, quat, move.speed)
+        is_reachable = arm.path.plan(
+            env_ids,
+            pos,
+            quat,
+            move.speed,
+            free=move.goal.free,
+            along=move.goal.along,
+        )
         for env_id, place in zip(env_ids[~is_reachable], pos[~is_reachable], strict=True):
             obstacle = arm.path.obstacles[int(env_id)]
             why = f"no straight line of the tool to {as_place(place)}: {obstacle}"

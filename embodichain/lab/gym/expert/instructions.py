@@ -89,6 +89,8 @@ class Goal:
         turn: How it is turned; None keeps the orientation.
         beyond: A place beyond the target instead.
         held: Whether the pose is that of what the gripper holds.
+        free: Whether any orientation of the tool will do.
+        along: What moves straight on the way: the tool, or each joint.
     """
 
     target: Target | None = None
@@ -99,6 +101,8 @@ class Goal:
     turn: Turn | None = None
     beyond: Beyond | None = None
     held: bool = False
+    free: bool = False
+    along: Literal["tool", "joints"] = "tool"
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ __all__ = [
     "PASSING_DISTANCE",
     "STEPS",
     "Aim",
+    "Along",
     "Arm",
     "Axes",
     "Made",
@@ -54,6 +55,7 @@ Aim = Annotated[Target, PlainValidator(_as_target)]
 Arm = Annotated[str, "arm"]
 """A parameter that names another arm, which then takes part in the step."""
 Axes = Literal["world", "target", "tool"]
+Along = Literal["tool", "joints"]
 Turns = Annotated[int, Field(ge=1)]
 Made = Iterator[Instruction]
 PASSING_DISTANCE = 0.03

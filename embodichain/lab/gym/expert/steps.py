@@ -18,6 +18,7 @@ from embodichain.lab.gym.expert.step_register import (
     PASSING_DISTANCE,
     STEPS,
     Aim,
+    Along,
     Arm,
     Axes,
     Made,
@@ -54,15 +55,20 @@ def move_to(
     symmetry: Turns = 4,
     rpy: Vector | None = None,
     held: bool = False,
+    free: bool = False,
+    along: Along = "tool",
     tolerance: Positive | None = 0.01,
 ) -> Made:
     """One straight line of the tool, or of what is `held`, to a target; else from where it is.
+
+    With `free`, the tool may turn on the way and end in any orientation. ``along: joints`` moves
+    each joint straight to its end instead, where nothing is in the way.
 
     It fails farther from it than `tolerance`; below 0.02 it comes to rest there. With
     None it continues as soon as the tool was sent there.
     """
     turn = _turn(align, symmetry, rpy, level=True)
-    goal = Goal(to, offset, axes, turn=turn, held=held)
+    goal = Goal(to, offset, axes, turn=turn, held=held, free=free, along=along)
     yield make.move(goal, tolerance)
 
 

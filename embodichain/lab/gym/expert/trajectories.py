@@ -8,7 +8,7 @@ real-time trajectory generation with arbitrary target states", Robotics: Science
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -112,6 +112,7 @@ class ToolPath:
         # Its end, and what is added to the path's pose so that the tool arrives there.
         self._goal_pos: F64 = np.zeros((num_envs, 3))
         self._goal_quat: F64 = np.tile([1.0, 0.0, 0.0, 0.0], (num_envs, 1))
+        self._is_oriented = np.full(num_envs, arm.term.orientation == "any")
         self._correction: F64 = np.zeros((num_envs, 6))  # m and rad
 
     def measure(self) -> None:
@@ -136,7 +137,16 @@ class ToolPath:
 
     # -- planning, once for each motion ------------------------------------------------------------
 
-    def plan(self, env_ids: EnvIds, pos: F64, quat: F64, speed: float) -> NDArray[np.bool_]:
+    def plan(
+        self,
+        env_ids: EnvIds,
+        pos: F64,
+        quat: F64,
+        speed: float,
+        *,
+        free: bool = False,
+        along: Literal["tool", "joints"] = "tool",
+    ) -> NDArray[np.bool_]:
         """Plan a straight line from where the tool is on its path to a pose.
 
         Args:
@@ -144,11 +154,17 @@ class ToolPath:
             pos: (n, 3) m, in the environment's frame.
             quat: (n, 4).
             speed: Share of the largest speed.
+            free: Whether any orientation will do.
+            along: What moves straight: the tool, or each joint.
 
         Returns:
             (n,) whether all of the line can be reached; where not, the tool stays.
         """
-        line, is_reachable = self._solve_line(env_ids, pos, quat)
+        self._is_oriented[env_ids] = not free and self._arm.term.orientation == "any"
+        if along == "joints":
+            line, is_reachable = self._solve_joint_line(env_ids, pos, quat, free=free)
+        else:
+            line, is_reachable = self._solve_line(env_ids, pos, quat, free=free)
         timings = self._time_lines(env_ids, pos, quat, line, speed)
         self._make_room(max((len(shares) for shares in timings), default=1))
         for number, env_id in enumerate(env_ids):
@@ -177,7 +193,9 @@ class ToolPath:
             longer[:, :length_now] = self._path
             self._path = longer
 
-    def _solve_line(self, env_ids: EnvIds, pos: F64, quat: F64) -> tuple[F64, NDArray[np.bool_]]:
+    def _solve_line(
+        self, env_ids: EnvIds, pos: F64, quat: F64, *, free: bool
+    ) -> tuple[F64, NDArray[np.bool_]]:
         """Return (n, W + 1, k) joint positions on lines, and (n,) whether they reach all of them.
 
         Why a line cannot be reached is stored in `obstacles`.
@@ -187,7 +205,7 @@ class ToolPath:
         turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(start_quat)))
         start_qpos = self._arm.asset.read_qpos()[env_ids].copy()
         start_qpos[:, self._solver.moving] = self._last_qpos[env_ids]
-        end_qpos, is_reachable = self._solve(env_ids, start_qpos, pos, quat)
+        end_qpos, is_reachable = self._solve(env_ids, start_qpos, pos, quat, free=free)
 
         # All points of all lines at once, each from a guess between the solutions at the ends.
         shares = np.linspace(0.0, 1.0, _WAYPOINTS + 1)[:, None, None]
@@ -197,7 +215,11 @@ class ToolPath:
         )
         guesses = (start_qpos + shares * (end_qpos - start_qpos)).reshape(-1, start_qpos.shape[1])
         solutions, is_solved = self._solve(
-            np.tile(env_ids, len(shares)), guesses, points.reshape(-1, 3), facing.reshape(-1, 4)
+            np.tile(env_ids, len(shares)),
+            guesses,
+            points.reshape(-1, 3),
+            facing.reshape(-1, 4),
+            free=free,
         )
         line = solutions.reshape(len(shares), len(env_ids), -1)
         line[0] = start_qpos
@@ -211,7 +233,7 @@ class ToolPath:
             qpos = start_qpos[retried]
             for i in range(1, len(shares)):
                 qpos, is_solved[i, retried] = self._solve(
-                    env_ids[retried], qpos, points[i, retried], facing[i, retried]
+                    env_ids[retried], qpos, points[i, retried], facing[i, retried], free=free
                 )
                 line[i, retried] = qpos
             is_reachable[retried] = is_solved[:, retried].all(axis=0) & _smooth(line[:, retried])
@@ -221,6 +243,24 @@ class ToolPath:
                 env_id, line[:, k], is_solved[:, k], points[:, k]
             )
         return np.moveaxis(line, 0, 1)[..., self._solver.moving], is_reachable
+
+    def _solve_joint_line(
+        self, env_ids: EnvIds, pos: F64, quat: F64, *, free: bool
+    ) -> tuple[F64, NDArray[np.bool_]]:
+        """Return (n, W + 1, k) joint positions that lead straight to their ends, and (n,) whether.
+
+        The ends are the nearest joint positions that were found for the poses.
+        """
+        start_qpos = self._arm.asset.read_qpos()[env_ids].copy()
+        start_qpos[:, self._solver.moving] = self._last_qpos[env_ids]
+        orientation = None if free or self._is_free else quat
+        end_qpos, is_reachable = self._solver.inverse(start_qpos, pos, orientation, env_ids)
+        shares = np.linspace(0.0, 1.0, _WAYPOINTS + 1)[:, None]
+        start = start_qpos[:, None, self._solver.moving]
+        end = end_qpos[:, None, self._solver.moving]
+        for k in np.flatnonzero(~is_reachable):
+            self.obstacles[int(env_ids[k])] = "no joint positions within the limits reach it"
+        return start + shares * (end - start), is_reachable
 
     def _obstacle(self, env_id: int, line: F64, is_solved: NDArray[np.bool_], points: F64) -> str:
         """Return where a line ends in an environment, and which joint or distance ends it.
@@ -257,10 +297,10 @@ class ToolPath:
         return f"{where} {', '.join(reasons)}"
 
     def _solve(
-        self, env_ids: EnvIds, seed: F64, pos: F64, quat: F64
+        self, env_ids: EnvIds, seed: F64, pos: F64, quat: F64, *, free: bool
     ) -> tuple[F64, NDArray[np.bool_]]:
         """Return (n, D) joint positions for poses of the tool, and (n,) whether they reach them."""
-        orientation = None if self._is_free else quat
+        orientation = None if free or self._is_free else quat
         return self._solver.inverse(seed, pos, orientation, env_ids, restarts=False)
 
     def _time_lines(
@@ -327,7 +367,7 @@ class ToolPath:
     def remaining(self) -> tuple[F64, F64]:
         """(N,) distance of the measured pose from the goal, m, and angle, rad (0 if it is free)."""
         turn = quat_to_rotvec(quat_multiply(self._goal_quat, quat_conjugate(self.quat)))
-        angle = length(turn) if self._arm.term.orientation == "any" else np.zeros(self._count)
+        angle = np.where(self._is_oriented, length(turn), 0.0)
         return length(self._goal_pos - self.pos), angle
 
     def at_rest(self) -> NDArray[np.bool_]:
@@ -365,8 +405,7 @@ class ToolPath:
         has to be moved beyond the goal until the tool is there.
         """
         turn = quat_to_rotvec(quat_multiply(self._goal_quat, quat_conjugate(self.quat)))
-        if self._arm.term.orientation != "any":
-            turn = np.zeros_like(turn)
+        turn = np.where(self._is_oriented[:, None], turn, 0.0)
         error = np.concatenate([self._goal_pos - self.pos, turn], axis=1)
         correction = np.clip(
             self._correction + _CORRECTION * error, -_LARGEST_CORRECTION, _LARGEST_CORRECTION

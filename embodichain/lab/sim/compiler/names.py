@@ -638,7 +638,8 @@ def _pick_of_articulation(
             picked += joint_match.ids
             joints_by.append(joint_match.named_by(joint_names))
         joints = reference.sort(picked)
-        if not joints and not problems:
+        has_empty_part = any(not articulation.control_parts[part] for part in parts)
+        if not joints and not problems and not has_empty_part:  # an empty part is reported itself
             key = "joint_names" if part_matches is None else "control_parts"
             message = f"picks no joint of {reference.uid!r}; leave it out for all"
             problems.append(Problem(key, message))

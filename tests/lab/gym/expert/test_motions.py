@@ -117,7 +117,8 @@ def test_a_robot_without_action_terms_is_an_arm(built):
 
 
 def test_efforts_are_no_arm(built):
-    env = built("reach", "task.actions.arm.params={control: effort, centre: zero, scale: 1}")
+    efforts = "task.actions.arm.params={control: effort, centre: zero, scale: 1}"
+    env = built("reach", efforts, "~task.expert")
     assert arms_of(env) == []
     assert declared_arms(env.cfg) == []
 

@@ -590,6 +590,8 @@ def is_image(source: object, value: Any) -> bool:
     """
     has_pixels = str(value.dtype).endswith("uint8") and len(value.shape) > 3
     return has_pixels or getattr(source, "reads_images", False)
+
+
 def _joined(parts: Sequence[_VectorPart], obs: Observation) -> NDArray[np.float32]:
     """(N, K) the parts of a flat vector, side by side."""
     count = len(obs.rows)

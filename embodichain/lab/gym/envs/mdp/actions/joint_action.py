@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -29,6 +29,7 @@ from embodichain.lab.gym.envs.managers.terms.per_name import (
 )
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._tools import arm_solver, usual_speeds
+from embodichain.lab.sim.compiler.names import exact_pattern
 from embodichain.utils.arrays import columns_of
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -360,7 +361,8 @@ class JointAction(JointTerm):
             ``limits`` maps `range` to the joint's declared limits (+-2 pi without any), with
             u = clamp(offset + scale x clamp(action, clip), range), target = low + (high - low) x
             (u - range[0]) / (range[1] - range[0]).
-        scale: Units per unit of action: a number, a list per joint, or {joint regex: number}.
+        scale: Units per unit of action: a number, a list per joint, or {joint regex: number}; a
+            key may be a control part of the robot.
         offset: Units, likewise.
         clip: Bounds of the action: [low, high], a list of pairs, or {joint regex: [low, high]}.
             None is (limits - offset) / scale with the joints' limits (+-2 pi without any) for
@@ -395,6 +397,16 @@ class JointAction(JointTerm):
             driven=control != "effort",
             positions=control == "position",
         )
+        self.filled_in: dict[str, Any] = {}
+        parts = self._asset.parsed.control_parts
+        for name, value in (("scale", scale), ("offset", offset)):
+            if isinstance(value, Mapping) and not parts.keys().isdisjoint(value):
+                by_joint = per_joint(
+                    self._by_joint(value), self.names, name, "joint", self._named_by
+                )
+                self.filled_in[name] = by_joint.tolist()
+        scale = self.filled_in.get("scale", scale)
+        offset = self.filled_in.get("offset", offset)
         if control != "position" and centre != "zero":
             raise ConfigError([Problem("centre", f"{centre} has a meaning for positions only")])
         if range[0] == range[1]:
@@ -450,6 +462,18 @@ class JointAction(JointTerm):
             self._write = self._write_mapped
         else:
             self._write = self._write_absolute
+
+    def _by_joint(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return a map by joint regex; a key may be a control part."""
+        parsed = self._asset.parsed
+        by_joint: dict[str, float] = {}
+        for key, value in values.items():
+            if key in parsed.control_parts and key not in parsed.joint_names:
+                names = [parsed.joint_names[i] for i in parsed.control_parts[key]]
+                by_joint |= {exact_pattern(n): value for n in names if n in self.names}
+            else:
+                by_joint[key] = value
+        return by_joint
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the targets or efforts of (N, A) actions."""
