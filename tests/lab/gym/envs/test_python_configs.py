@@ -78,6 +78,8 @@ def report(make):
 WRONG = {
     "robot.drive_pros.stiffness": ("soft", "expected a number or a map or 'file', got 'soft'"),
     "robot.drive_pros.drive_type": ("forse", "'none', got 'forse'. Did you mean 'force'?"),
+    "robot.drive_pros.damping": (-1.0, "must not be negative, got -1.0"),
+    "robot.drive_pros.armature": ({"Joint1": -0.5}, "Joint1: must not be negative, got -0.5"),
     "robot.init_pos": ((0.0, 1.0), "expected 3 values, got 2: [0.0, 1.0]"),
     "robot.attachments": (
         {"pad": AttachmentCfg(link="ee_link", shape=CylinderCfg(radius=-1.0))},
