@@ -144,7 +144,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             without a function here (learners have their own buffers).
 
     Raises:
-        ConfigError: If the task is wrong; lists every mistake that can be found.
+        ConfigError: If the task is wrong; lists every mistake that can be found: of values of a
+            wrong type if there are any, else of terms and of the scene.
         DeviceError: If the device is unknown or has no engine.
         ValueError: If `compiled_scene` is that of another config.
     """

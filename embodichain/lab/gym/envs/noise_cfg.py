@@ -70,7 +70,8 @@ class NoiseCfg:
             kind = _KINDS[type]
         allowed = [field.name for field in dataclasses.fields(kind)]
         unknown = [name for name in values if name not in allowed]
-        if unknown:
+        # A subclass of a user may have a constructor of its own.
+        if unknown and kind in _KINDS.values():
             raise ConfigError([Problem(name, *unknown_key(name, allowed)) for name in unknown])
         return object.__new__(kind)
 

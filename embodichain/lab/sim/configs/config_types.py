@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from pathlib import PurePath
@@ -36,6 +37,8 @@ from embodichain.utils.suggest import did_you_mean
 __all__ = ["CheckedTree", "ConfigTypes", "Loc", "check_config", "config_types", "key_names"]
 
 _PACKAGE = "embodichain."
+_MOST_NUMBERS = 1_000_000
+"""In an array that is checked as a list; no field of a config has more."""
 Loc = tuple[str | int, ...]
 Cfg = TypeVar("Cfg")
 
@@ -146,7 +149,8 @@ class ConfigTypes:
             return
         allowed = [field.name for field in dataclasses.fields(node)]
         for name in vars(node):
-            if name not in allowed and not name.startswith("_"):
+            is_declared = name in allowed or hasattr(type(node), name)
+            if not is_declared and not name.startswith("_"):
                 yield self._unknown_key((*loc, name), allowed)
 
     # -- places of errors ----------------------------------------------------------------------
@@ -382,7 +386,8 @@ def _plain_values(value: Any) -> Any:
         return {key: _plain_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain_values(item) for item in value]
-    if hasattr(value, "tolist"):  # an array, a tensor, or a number of numpy's
+    # An array, a tensor, or a number of numpy's. Larger ones are data of a term, not values.
+    if hasattr(value, "tolist") and math.prod(value.shape) <= _MOST_NUMBERS:
         return value.tolist()
     if isinstance(value, PurePath):
         return str(value)

@@ -7,17 +7,19 @@ from typing import Annotated, Literal
 
 from embodichain.utils.configclass import configclass
 from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultFloat
+from embodichain.utils.fields.value_checks import require
 
 __all__ = ["NO_LIMIT", "Gain", "JointDrivePropertiesCfg", "PerJoint"]
 
 NO_LIMIT = 1e9
 """Efforts and speeds at least this large are no limits (EmbodiChain's default is 1e10)."""
 
-PerJoint = float | dict[str, float]
+_NotNegative = Annotated[float, require("must not be negative, got {}", lambda value: value >= 0)]
+PerJoint = _NotNegative | dict[str, _NotNegative]
 """One value for all joints, or values keyed by joint-name regex or control-part name."""
 
 
-Gain = Annotated[float | dict[str, float] | Literal["file"], KEEP_DEFAULT]
+Gain = Annotated[_NotNegative | dict[str, _NotNegative] | Literal["file"], KEEP_DEFAULT]
 """"file", one value for all joints, or values by joint-name regex or control-part name."""
 
 

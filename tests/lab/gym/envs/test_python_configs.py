@@ -78,6 +78,8 @@ def report(make):
 WRONG = {
     "robot.drive_pros.stiffness": ("soft", "expected a number or a map or 'file', got 'soft'"),
     "robot.drive_pros.drive_type": ("forse", "'none', got 'forse'. Did you mean 'force'?"),
+    "robot.drive_pros.damping": (-1.0, "must not be negative, got -1.0"),
+    "robot.drive_pros.armature": ({"Joint1": -0.5}, "Joint1: must not be negative, got -0.5"),
     "robot.init_pos": ((0.0, 1.0), "expected 3 values, got 2: [0.0, 1.0]"),
     "robot.attachments": (
         {"pad": AttachmentCfg(link="ee_link", shape=CylinderCfg(radius=-1.0))},
@@ -230,7 +232,7 @@ def test_values_that_only_python_has_pass():
         ),
         rewards={"near": RewardCfg(near, weight=np.float32(2.0))},
         terminations={"never": TerminationCfg(lambda env, obs, action, info: torch.zeros(2) > 1)},
-        extensions={"table": np.arange(3)},
+        extensions={"table": np.arange(3), "video": np.zeros((2000, 1000))},
     )
     cfg.objects["cube"] = CountedObjectCfg(
         shape=CubeCfg(size=np.full(3, 0.1)), init_pos=np.array([0.5, 0.0, 1.0])
@@ -262,6 +264,23 @@ def test_noise_is_a_config_of_its_kind():
     assert NoiseCfg.from_dict({"std": 0.1}) == GaussianNoiseCfg(std=0.1)
     uniform = NoiseCfg("uniform", low=0, high=1)
     assert copy.deepcopy(uniform) == uniform.copy() == pickle.loads(pickle.dumps(uniform))
+
+
+class LoudNoiseCfg(GaussianNoiseCfg):
+    """A user's noise with a constructor of its own."""
+
+    def __init__(self, decibels):
+        super().__init__(std=10.0 ** (decibels / 20.0))
+
+
+def test_noise_of_a_users_class():
+    def zeros(env, obs):
+        return torch.zeros(env.num_envs, 1)
+
+    noise = LoudNoiseCfg(decibels=6)
+    env = BaseEnv(small(observations={"a": ObservationCfg(zeros, noise=noise)}))
+    assert env.cfg.observations["a"].noise.std == pytest.approx(1.995, abs=1e-3)
+    env.close()
 
 
 def test_a_key_of_another_kind_of_noise_names_those_of_this_kind():

@@ -334,28 +334,22 @@ def _read_overrides(
             numbers, mistakes = _read_map(name, value, joints.names, parts)
             problems += mistakes
         else:
-            numbers, mistakes = _read_single(name, value, joints)
-            problems += mistakes
+            numbers = _read_single(value, joints)
         for joint, number in numbers.items():
             overrides[joint][name] = number
     return overrides, problems
 
 
-def _read_single(
-    name: str, value: Any, joints: FileJoints
-) -> tuple[dict[str, float], list[Problem]]:
+def _read_single(value: float, joints: FileJoints) -> dict[str, float]:
     """Return one number for all joints that it concerns.
 
     A field's default concerns joints of URDF files; a given number all but those of attached MJCFs.
     """
-    number, problems = _read_number(value, name)
-    if number is None:
-        return {}, problems
     if is_given(value):
         concerned = [joint.name for joint in joints.rows if not joint.is_attached_mjcf]
     else:
         concerned = [joint.name for joint in joints.rows if joint.is_urdf]
-    return dict.fromkeys(concerned, number), problems
+    return dict.fromkeys(concerned, float(value))
 
 
 def _read_map(
@@ -375,22 +369,8 @@ def _read_map(
                 hint = mistakes[0].hint or did_you_mean(key, parts).strip()
                 mistakes = [Problem(path, message, hint)]
             problems += mistakes
-        number, mistakes = _read_number(entry, path)
-        problems += mistakes
-        if number is not None:
-            numbers |= {names[i]: number for i in ids}
+        numbers |= {names[i]: float(entry) for i in ids}
     return numbers, problems
-
-
-def _read_number(value: Any, path: str) -> tuple[float | None, list[Problem]]:
-    """Return a non-negative number; else None and a mistake."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        return None, [Problem(path, f"must be a number, got {value!r}")]
-    if number >= 0.0:
-        return number, []
-    return None, [Problem(path, f"must not be negative, got {number}")]
 
 
 # ------------------------------------------------------------------------------- drives to a spec

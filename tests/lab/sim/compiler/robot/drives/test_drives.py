@@ -163,10 +163,13 @@ def test_a_mimic_joint_follows_and_has_no_drive_of_its_own(tmp_path):
             "stiffness 0 instead",
         ),
         ({"max_velocity": 0.0}, "a.drive_pros.max_velocity: must be positive; null is no limit"),
-        ({"max_effort": "urdf"}, "a.drive_pros.max_effort: must be a number, got 'urdf'"),
+        (
+            {"max_effort": "urdf"},
+            "a.drive_pros.max_effort: expected a number or a map or 'file', got 'urdf'",
+        ),
     ],
 )
 def test_a_drive_that_does_not_fit_is_named(drives, message):
     with pytest.raises(ConfigError) as raised:
-        parse_articulation("a", ur10(**drives))
+        scene_of({"a": ur10(**drives)})
     assert str(raised.value) == message
