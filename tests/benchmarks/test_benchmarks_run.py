@@ -65,7 +65,7 @@ def test_small_batches(run, tmp_path):
         out=tmp_path / "raw.json",
     )  # fmt: skip
     assert list(facts["sb3"]) == ["1", "2"] and facts["num_envs_large"] == 4
-    assert set(facts["beyond_physics"]) == {"reach", "quadruped_velocity"}
+    assert set(facts["beyond_physics"]) == {"reach", "quadruped_velocity", "pick_place"}
     assert "speed over DummyVecEnv" in table and "reach at N=4 over the floor" in table
 
 

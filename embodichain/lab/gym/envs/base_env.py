@@ -4,8 +4,9 @@ The class reads from top to bottom: how it is built, reset and stepped; the hook
 may override, each with its default; recorded moments; then what users, terms and observers read.
 
 Its parts: `Episodes` (counters), `ObservationLayout` (columns of the observation), `judging`
-(success and the end of episodes), `scene_setup` (config to entities), `restoring` (recorded
-moments), `StateDump` (environments that diverged), and the managers of terms.
+(success and the end of episodes), `StepResult` (what a step computes), `scene_setup` (config to
+entities), `restoring` (recorded moments), `StateDump` (environments that diverged), and the
+managers of terms.
 """
 
 from __future__ import annotations

@@ -76,7 +76,8 @@ class FeetGait:
             raise ConfigError([Problem("offsets", message)])
         self._env = env
         self._sensor = sensor
-        self._phases = per_joint(offsets, sensor.names, "offsets", "foot", sensor.plan.named_by)
+        phases = per_joint(offsets, sensor.names, "offsets", "foot", sensor.plan.named_by)
+        self._phases: Floats = env.arrays.put(np.tile(phases, (env.num_envs, 1)))
         self._cycles_per_step = env.step_dt / period_s
         self._height = height
         self._width = width
