@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass, replace
 from typing import Any
 
+from embodichain.config.checks.embodiment_needs import follows_from_name
 from embodichain.config.checks.validation import check_tree, named_maps
 from embodichain.config.composition.embodiments import EMBODIMENT
 from embodichain.config.keys.schema import RootCfg
@@ -61,7 +62,12 @@ def further_mistakes(
             return further
         is_first = False
         mistakes = _mistakes_of(part.tree, checked, build, reported)
-        new = [problem for problem in mistakes if problem.path not in reported]
+        new = [
+            problem
+            for problem in mistakes
+            if problem.path not in reported
+            and not follows_from_name(problem, [*problems, *further])
+        ]
         further += [problem for problem in new if part.may_report(problem)]
         reported |= {problem.path for problem in new}
     return further

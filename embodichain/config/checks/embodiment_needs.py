@@ -6,6 +6,7 @@ one mistake, which names the embodiments that have it; what follows from it is n
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +21,10 @@ from embodichain.lab.sim.compiler.names import Known, pick
 from embodichain.lab.sim.configs.references import FRAME_KEYS, LinksCfg
 from embodichain.utils.errors import Problem
 
-__all__ = ["check_embodiment"]
+__all__ = ["check_embodiment", "follows_from_name"]
+
+_NAME = re.compile(r"task\.(?:robot|robots\.[^.]+|articulations\.[^.]+)\.names\.(.+)")
+"""Key path of a name that a robot's config gives."""
 
 _CHOICE = f"{EMBODIMENT}@task"
 """The choice of an embodiment, as Hydra calls it."""
@@ -56,6 +60,7 @@ def check_embodiment(
         known: The entities of its scene.
         problems: The mistakes that were found, with paths from the root.
     """
+    problems = [problem for problem in problems if not follows_from_name(problem, problems)]
     name = composed.choices.get(_CHOICE)
     if name is None or not problems:
         return list(problems)
@@ -99,6 +104,22 @@ def _listed(needs: Iterable[_Need]) -> str:
             names_of[need.kind].append(name)
     listed = [f"{_WORDS[kind]} {', '.join(names)}" for kind, names in names_of.items() if names]
     return "; ".join(listed)
+
+
+def follows_from_name(problem: Problem, problems: Iterable[Problem]) -> bool:
+    """Return whether a mistake is that a name is unknown which is wrong in the robot's config.
+
+    Args:
+        problem: The mistake.
+        problems: All mistakes.
+    """
+    wrong_names = [match[1] for other in problems if (match := _NAME.match(other.path))]
+    if _NAME.match(problem.path):
+        return False
+    return any(
+        f"matches {name!r}" in problem.message or f"is called {name!r}" in problem.message
+        for name in wrong_names
+    )
 
 
 def _follows(problem: Problem, paths: Iterable[str]) -> bool:
