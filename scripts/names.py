@@ -65,7 +65,7 @@ MODULES = (
     "embodichain.utils.errors",
 )
 """Public modules that are no packages: what docs/ and README.md import, and configs."""
-_GROUPS = ("task", "algo", "experiment", "record", "scene", "sim", "viewer")
+_GROUPS = ("task", "algo", "experiment", "object", "record", "scene", "sim", "viewer")
 _LINE = re.compile(r"(?P<name>[^(]+)(?:\((?P<parameters>.*)\))?")
 
 
