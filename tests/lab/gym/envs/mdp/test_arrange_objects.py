@@ -45,7 +45,7 @@ events:
 """
 LAYOUT = """
 bar: {on: tray, yaw: 0}
-can: {beside: {of: tray, by: 0.1}}
+can: {on: table, beside: {of: tray, by: 0.1}}
 tray: {on: table, region: [[-0.1, -0.4], [0.4, 0.4]], yaw: [-20, 20]}
 lying: {on: table}
 """
@@ -264,6 +264,13 @@ def test_things_lie_in_an_inside(make: Make) -> None:
         ),
         ("can: {on: ground}", "objects.can.region", "missing; the ground has no end"),
         ("can: {beside: {of: tray, by: -1}}", "objects.can.beside.by", "must not be negative"),
+        (
+            "can: {on: table, beside: {of: tray, by: far}}",
+            "objects.can.beside.by",
+            "expected a number or [low, high]",
+        ),
+        ("can: {on: table, yaw: true}", "objects.can.yaw", "expected a number or [low, high]"),
+        ("can: {on: table, beside: [tray]}", "objects.can.beside", "expected"),
         ("can: {onto: table}", "objects.can.onto", "unknown key"),
         ("tray: {on: can}", "objects.tray", "'tray' does not fit on 'can'"),
         (

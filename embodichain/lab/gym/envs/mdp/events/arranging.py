@@ -45,9 +45,19 @@ _LAYOUTS = 8
 
 
 def _pair(value: Any) -> Any:
-    """One number as the range of that number."""
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return [value, value] if is_number else value
+    """One number as the range of that number.
+
+    Raises:
+        ValueError: If it is text or a flag.
+    """
+    if isinstance(value, (str, bool)):
+        raise ValueError("expected a number or [low, high]")
+    return [value, value] if isinstance(value, (int, float)) else value
+
+
+def _as_beside(value: Any) -> Any:
+    """A name alone as the thing that an object is beside."""
+    return {"of": value} if isinstance(value, str) else value
 
 
 NumberOrRange = Annotated[Range, BeforeValidator(_pair)]
@@ -91,7 +101,7 @@ class Placement:
 
     on: str | None = None
     in_: Annotated[str | None, Field(alias="in")] = None
-    beside: Beside | None = None
+    beside: Annotated[Beside | None, BeforeValidator(_as_beside)] = None
     region: Box2 | None = None
     yaw: NumberOrRange = (-180.0, 180.0)
     gap: NonNegative | None = None
