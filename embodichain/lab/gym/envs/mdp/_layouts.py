@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.objects.rigid_object import RigidObject
     from embodichain.utils.array_types import EnvIds, Floats
 
-__all__ = ["EXACT", "Candidate", "Face", "Frame", "Item", "Layout", "Neighbour", "turned"]
+__all__ = ["EXACT", "Candidates", "Face", "Frame", "Item", "Layout", "Neighbour", "turned"]
 
 EXACT = 1e-9
 """Metres by which rounding may make a thing larger than the place that it fits exactly."""
@@ -100,18 +100,29 @@ class Item:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """A place that is tried in n environments.
+class Candidates:
+    """Places that are tried, one in each of n rows.
 
     Attributes:
         place: (n, 4) x, y, z in m, and yaw in rad from the initial orientation.
-        box: The object's box there, (n,).
+        body_axes: (n, 3, 3) rotation matrix of the object there.
+        box: Its box there, (n,).
         is_possible: (n,) whether the relation holds.
     """
 
     place: Floats
+    body_axes: Floats
     box: Boxes
     is_possible: NDArray[np.bool_]
+
+    def rows(self, rows: NDArray[np.int64]) -> Candidates:
+        """Return those of some rows."""
+        return Candidates(
+            place=self.place[rows],
+            body_axes=self.body_axes[rows],
+            box=self.box.rows(rows),
+            is_possible=self.is_possible[rows],
+        )
 
 
 class Layout:
@@ -124,7 +135,7 @@ class Layout:
         obstacles: Everything else that is solid.
 
     Attributes:
-        places: (n, 4) of each object, see `Candidate`.
+        places: (n, 4) of each object, see `Candidates`.
         last_item: (n,) the number of the object that was placed last, or has no place.
     """
 
@@ -182,8 +193,8 @@ class Layout:
         box = self._local_box(part, rows)
         return box.moved(pos, axes)
 
-    def candidate(self, item: Item, numbers: Floats, rows: NDArray[np.int64]) -> Candidate:
-        """Return a place where an object's relations hold, made of numbers (n, 3) in [0, 1)."""
+    def candidates(self, item: Item, numbers: Floats, rows: NDArray[np.int64]) -> Candidates:
+        """Return places where an object's relations hold, made of numbers (n, 3) in [0, 1)."""
         count = len(rows)
         first, second, third = (contiguous(numbers[:, i]) for i in range(3))
         frame = self._frame(item, rows)
@@ -208,7 +219,8 @@ class Layout:
         middle[:, 2] = frame.height + own.reach(_UP)
         pos = middle - own.middle
         place = np.concatenate([pos, yaw[:, None]], axis=1)
-        return Candidate(place, Boxes(middle, axes, own.half), is_possible)
+        box = Boxes(middle, own.axes, own.half)
+        return Candidates(place, body_axes=axes, box=box, is_possible=is_possible)
 
     def _frame(self, item: Item, rows: NDArray[np.int64]) -> Frame:
         """What an object stands on; without an end where only its neighbour is known."""
@@ -259,21 +271,14 @@ class Layout:
             is_hit |= box.overlap(others)[:, 0]
         return is_hit
 
-    def accept(
-        self,
-        item: Item,
-        candidate: Candidate,
-        is_free: NDArray[np.bool_],
-        rows: NDArray[np.int64],
-    ) -> None:
-        """Place an object where a candidate is free."""
-        accepted = rows[is_free]
+    def accept(self, item: Item, candidates: Candidates, rows: NDArray[np.int64]) -> None:
+        """Place an object where it is in candidates (n,), in n rows."""
         box = self._boxes[item.uid]
-        self.places[item.uid][accepted] = candidate.place[is_free]
-        self._axes[item.uid][accepted] = candidate.box.axes[is_free]
-        box.middle[accepted] = candidate.box.middle[is_free]
-        box.axes[accepted] = candidate.box.axes[is_free]
-        box.half[accepted] = candidate.box.half[is_free]
+        self.places[item.uid][rows] = candidates.place
+        self._axes[item.uid][rows] = candidates.body_axes
+        box.middle[rows] = candidates.box.middle
+        box.axes[rows] = candidates.box.axes
+        box.half[rows] = candidates.box.half
 
 
 @dataclass(eq=False)

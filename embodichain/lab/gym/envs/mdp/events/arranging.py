@@ -40,6 +40,8 @@ _GROUND = ("ground", GROUND)
 _UP = np.array([[0.0, 0.0, 1.0]])
 _PLAY = 1e-3
 """Metres by which what is above an inside may reach into it."""
+_AT_ONCE = 16
+"""Largest number of places that are tried at once in an environment; more would need memory."""
 _LAYOUTS = 8
 """How often an environment begins anew with its first object before the event fails."""
 
@@ -220,14 +222,24 @@ class ArrangeObjects(Term):
         """Place an object in these rows of a layout; return those where it has a place."""
         layout.last_item[rows] = self._items.index(item)
         waiting = rows
-        for _ in range(self._tries):
-            if not len(waiting):
-                break
-            numbers = env.event_manager.try_draw((3,), layout.ids[waiting])
-            candidate = layout.candidate(item, numbers, waiting)
-            is_free = candidate.is_possible & ~layout.overlaps(item, candidate.box, waiting)
-            layout.accept(item, candidate, is_free, waiting)
-            waiting = waiting[~is_free]
+        tried = 0
+        count = 1
+        while len(waiting) and tried < self._tries:
+            # Twice as many tries each time: few calls, and an environment's tries are its own.
+            count = min(count, self._tries - tried)
+            numbers = env.event_manager.try_draw((count, 3), layout.ids[waiting])
+            tried_rows = np.repeat(waiting, count)
+            candidates = layout.candidates(item, numbers.reshape(-1, 3), tried_rows)
+            is_free = candidates.is_possible & ~layout.overlaps(item, candidates.box, tried_rows)
+            is_free = is_free.reshape(-1, count)
+            first = is_free.argmax(axis=1)
+            every_row = np.arange(len(waiting))
+            has_place = is_free[every_row, first]
+            accepted = (every_row * count + first)[has_place]
+            layout.accept(item, candidates.rows(accepted), waiting[has_place])
+            waiting = waiting[~has_place]
+            tried += count
+            count = min(2 * count, _AT_ONCE)
         return np.setdiff1d(rows, waiting)
 
     def _no_place(self, layout: Layout, ids: EnvIds, rows: NDArray[np.int64]) -> Problem:
