@@ -66,7 +66,18 @@ MODULES = (
     "embodichain.utils.errors",
 )
 """Public modules that are not packages: those that docs/ and README.md import, and configs."""
-_GROUPS = ("task", "algo", "experiment", "record", "scene", "sim", "variation", "viewer")
+_GROUPS = (
+    "task",
+    "algo",
+    "embodiment",
+    "experiment",
+    "object",
+    "record",
+    "scene",
+    "sim",
+    "variation",
+    "viewer",
+)
 _LINE = re.compile(r"(?P<name>[^(]+)(?:\((?P<parameters>.*)\))?")
 
 

@@ -11,7 +11,7 @@ from embodichain.cli.verb import VERBS
 from embodichain.cli.words import EVERYDAY_KEYS
 from embodichain.config.keys.schema import RootCfg
 
-KINDS = "{tasks|robots|policies|terms|formats|viewers|learners|steps}"
+KINDS = "{tasks|objects|scenes|robots|policies|terms|formats|viewers|learners|steps}"
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"], ["help"]])

@@ -348,7 +348,8 @@ def type_words(hint: Any) -> str:
     elif origin is not None:
         return _container(origin, arguments, metadata)
     elif dataclasses.is_dataclass(hint) and name not in _NAMED:
-        words = f"map with {', '.join(field.name for field in dataclasses.fields(hint))}"
+        names = [field.name.removesuffix("_") for field in dataclasses.fields(hint)]
+        words = f"map with {', '.join(names)}"
     else:
         words = _NAMED.get(name) or _WORDS.get(hint, name)
     return f"{words} {_limits(metadata)}".strip()

@@ -104,7 +104,11 @@ class ConfigFile:
     def problems(self) -> list[Problem]:
         """Return a problem for each key and number that YAML 1.1 does not read as written."""
         name = display_path(self.path)
-        return [Problem(m.path, m.message, source=f"{name}:{m.line}") for m in self.misread]
+        return [
+            Problem(m.path, m.message, source=f"{name}:{m.line}")
+            for m in self.misread
+            if m.is_refused
+        ]
 
     def find(self, parts: Sequence[str]) -> tuple[int, int]:
         """Return how many parts of a path are set here, and the line of the last (0 for none).
@@ -272,7 +276,8 @@ class Locator:
 
     def misread(self, *, keys: bool = True) -> set[str]:
         """Return the paths at which YAML 1.1 does not read numbers, or keys, as written."""
-        return {m.path for file in self.files for m in file.misread if keys or not m.name}
+        refused = [m for file in self.files for m in file.misread if m.is_refused]
+        return {m.path for m in refused if keys or not m.name}
 
     def names(self) -> dict[str, str]:
         """Return the names that files write otherwise: the config's key path -> the name there."""

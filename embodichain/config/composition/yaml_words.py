@@ -2,7 +2,8 @@
 
 Hydra reads YAML 1.1. There `on`, `off`, `yes` and `no` are flags, `012` is 10 in base 8, `1:30` is
 90 in base 60, and ``1e3`` is a number. Flags and ``1e3`` stay what they are where a flag or a
-number is expected; as keys, and as numbers in another base, they are refused.
+number is expected; as keys, and as numbers in another base, they are refused. The key `on` of a
+term's parameters is a relation (``cube: {on: table}``), and is read as it is written.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from yaml.constructor import SafeConstructor
 
 __all__ = ["Misread", "compose_nodes", "misread", "node_kind", "quoting", "scalar_text"]
 
+_RELATION = "on"
+"""A flag in YAML 1.1, and what stands on something in English."""
 _NULL = "tag:yaml.org,2002:null"
 _MERGE = "tag:yaml.org,2002:merge"
 _SCALARS = {f"tag:yaml.org,2002:{kind}" for kind in ("bool", "int", "float", "null")}
@@ -58,6 +61,7 @@ class Misread(NamedTuple):
         message: What it is read as, and what to write.
         name: For a key, its name as written; else empty.
         read: For a key, the key path that the config has instead; else empty.
+        is_refused: Whether it is a mistake; else the key is taken as it is written.
     """
 
     path: str
@@ -65,6 +69,7 @@ class Misread(NamedTuple):
     message: str
     name: str = ""
     read: str = ""
+    is_refused: bool = True
 
 
 def compose_nodes(stream: str | TextIO) -> yaml.Node | None:
@@ -149,6 +154,7 @@ def _misread_key(key: yaml.Node, prefix: str) -> Iterator[Misread]:
         message=message,
         name=text,
         read=f"{prefix}{value}",
+        is_refused=text != _RELATION or ".params." not in f".{prefix}",
     )
 
 

@@ -32,7 +32,7 @@ from embodichain.lab.sim.configs.scene_cfg import (
 from embodichain.lab.sim.configs.self_collision_cfg import SelfCollisionCfg
 from embodichain.lab.sim.configs.solver_cfg import SolverCfg
 from embodichain.lab.sim.configs.urdf_cfg import URDFCfg
-from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg, VariantCfg
+from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg, SiteCfg, VariantCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultFloat, DefaultInt
@@ -63,6 +63,7 @@ __all__ = [
     "RobotCfg",
     "SelfCollisionCfg",
     "SimulationManagerCfg",
+    "SiteCfg",
     "SolverCfg",
     "URDFCfg",
     "VariantCfg",
@@ -400,13 +401,19 @@ class RigidObjectCfg(ObjectBaseCfg):
     use_usd_properties: Annotated[bool, _USD] = False
     """No effect: USD is not read."""
     # ours
-    collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
-    """Collision geometry of a mesh: its convex hull, or as many convex parts as needed."""
+    collision: Literal["hull", "decompose", "pieces"] = dataclasses.field(
+        default="hull", kw_only=True
+    )
+    """Collision geometry of a mesh: its convex hull, as many convex parts as needed, or the hull of
+    each of its pieces: of the triangles that share corners."""
     any_of: dict[str, VariantCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     """Name -> a shape, in place of `shape`. An environment has the first until the event
     `randomize_shape` draws another one."""
     contact: ContactCfg | None = dataclasses.field(default=None, kw_only=True)
     """Contact parameters beside `attrs.dynamic_friction`; those of all its shapes."""
+    sites: dict[str, SiteCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Name -> a place on the object, for references and experts: ``UID/NAME``. Relations put things
+    `in` the box of the site ``inside``, and `on` that of ``top``, if there is one."""
 
 
 @configclass

@@ -22,6 +22,7 @@ __all__ = [
     "MeshCfg",
     "PlaneCfg",
     "ShapeCfg",
+    "SiteCfg",
     "SphereCfg",
     "VariantCfg",
     "VisualMaterialCfg",
@@ -178,6 +179,20 @@ AnyShapeCfg = Annotated[
 
 
 @configclass
+class SiteCfg:
+    """A named place on an object: where to grasp it, its inside, its upper face."""
+
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    """Metres: its middle in the object's frame."""
+    rot: Vec3 = (0.0, 0.0, 0.0)
+    """Euler angles in degrees, intrinsic XYZ, in the object's frame."""
+    quat: Quat | None = None
+    """wxyz; overrides `rot`."""
+    size: Annotated[list[Edge], Field(min_length=3, max_length=3)] | None = None
+    """Full edge lengths of the box that it marks, metres; None marks a point."""
+
+
+@configclass
 class VariantCfg:
     """One of the shapes that an object may have in an environment; see `any_of`."""
 
@@ -198,5 +213,5 @@ class VariantCfg:
     """As of an object."""
     max_convex_hull_num: Annotated[int, Field(ge=1), KEEP_DEFAULT] = DefaultInt(1)
     """As of an object."""
-    collision: Literal["hull", "decompose"] = "hull"
+    collision: Literal["hull", "decompose", "pieces"] = "hull"
     """As of an object."""

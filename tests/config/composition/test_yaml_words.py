@@ -48,6 +48,19 @@ def test_a_key_that_is_read_as_written(write_task: WriteTask, word: str) -> None
     assert list(objects) == ["ball", word.strip("'\"")]
 
 
+def test_the_relation_on_is_read_as_written(write_task: WriteTask) -> None:
+    layout = "{func: arrange_objects, mode: reset, params: {objects: {ball: {on: table}}}}"
+    write_task("events:", f"events:\n  layout: {layout}")
+    assert said() == []
+    changed = compose(["task=mine", "task.events.layout.params.objects.ball.on=arm"])
+    assert changed.tree["task"]["events"]["layout"]["params"] == {
+        "objects": {"ball": {"on": "arm"}}
+    }
+    # Other flags are no relations, and neither is a name outside of a term.
+    write_task("events:", f"events:\n  layout: {layout.replace('on:', 'yes:')}")
+    assert "YAML 1.1 reads the key yes as true" in said()[0]
+
+
 def test_a_refused_name_is_known_to_the_other_checks(write_task: WriteTask) -> None:
     write_task(text=GOOD.replace("  ball:", "  off:").replace("uid: ball", "uid: 'off'"))
     (report,) = said()

@@ -1,4 +1,4 @@
-"""`embodichain list`: lists tasks, robots, policies, terms and what else is registered.
+"""`embodichain list`: lists tasks, objects, robots, policies, terms and what else is registered.
 
 Imports neither MuJoCo nor torch.
 """
@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import inspect
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -17,6 +19,7 @@ from embodichain.cli.verb import verb
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
+    from hydra.core.config_loader import ConfigLoader
     from hydra.plugins.config_source import ConfigSource
 
 __all__ = ["command"]
@@ -25,8 +28,10 @@ Rows = list[dict[str, Any]]
 _FAULT = "cannot load"
 _KINDS = (
     "tasks",
-    "variations",
     "embodiments",
+    "objects",
+    "scenes",
+    "variations",
     "robots",
     "policies",
     "terms",
@@ -55,8 +60,9 @@ class ListOptions:
 @verb(
     "list",
     ("list tasks", "every task that task=NAME finds"),
-    ("list variations", "what variation=[NAME,...] finds"),
     ("list embodiments", "robots that embodiment=NAME puts into a task"),
+    ("list objects", "things that a task's defaults can compose"),
+    ("list variations", "what variation=[NAME,...] finds"),
     ("list robots", "robot files that a task can name"),
     ("list policies", "trained policies that ship, and how often they succeed"),
     ("list terms", "functions for events, observations, rewards, ..."),
@@ -78,9 +84,11 @@ def command(options: ListOptions) -> None:
         sys.stdout.write(catalogue())
         return
     makers = {
-        "tasks": lambda: _options("task"),
-        "variations": lambda: _options("variation"),
+        "tasks": lambda: _described("task"),
         "embodiments": _embodiments,
+        "objects": lambda: _commented("object"),
+        "scenes": lambda: _commented("scene"),
+        "variations": lambda: _described("variation"),
         "robots": _robots,
         "policies": _policies,
         "terms": _terms,
@@ -109,18 +117,48 @@ def _print_list(title: str, lines: list[str]) -> None:
     sys.stdout.write("\n".join([f"{title}:", *folded, "\n"]))
 
 
-def _options(group: str) -> Rows:
-    """Every option of a group in the search path; a broken file is listed too."""
+def _described(group: str) -> Rows:
+    """Every option of a group whose files have a description; a broken file is listed too."""
     from embodichain.config.composition.hydra_loader import config_loader
+
+    with config_loader() as loader:
+        return [
+            {"name": name, "what": _description(source, f"{group}/{name}"), "from": _place(source)}
+            for name, source in _options(loader, group)
+        ]
+
+
+def _commented(group: str) -> Rows:
+    """Every option of a group whose files begin with a comment that says what it is."""
+    from embodichain.config.composition.hydra_loader import config_loader, folder_of_source
 
     rows = []
     with config_loader() as loader:
-        for name in loader.get_group_options(group):
-            path = f"{group}/{name}"
-            source = next(s for s in loader.get_sources() if s.is_config(path))
-            place = "embodichain" if source.provider == "main" else source.provider
-            rows.append({"name": name, "what": _description(source, path), "from": place})
+        for name, source in _options(loader, group):
+            folder = folder_of_source(source.scheme(), source.path)
+            what = "" if folder is None else _comment(folder / group / f"{name}.yaml")
+            rows.append({"name": name, "what": what, "from": _place(source)})
     return rows
+
+
+def _options(loader: ConfigLoader, group: str) -> Iterator[tuple[str, ConfigSource]]:
+    """Yield the options of a group and where each is found first."""
+    for name in loader.get_group_options(group):
+        yield name, next(s for s in loader.get_sources() if s.is_config(f"{group}/{name}"))
+
+
+def _place(source: ConfigSource) -> str:
+    return "embodichain" if source.provider == "main" else source.provider
+
+
+def _comment(file: Path) -> str:
+    """The first sentence of the comment that a file begins with."""
+    words: list[str] = []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            break
+        words += line.removeprefix("#").split()
+    return " ".join(words).partition(". ")[0].rstrip(".")
 
 
 def _description(source: ConfigSource, path: str) -> str:

@@ -92,6 +92,18 @@ class EventDraws(RandomDraws, Protocol):
         """Draw several quantities at once, each logged under its name; see `EventManager`."""
         ...
 
+    def try_draw(self, shape: Sequence[int], env_ids: EnvIndex) -> Floats:
+        """Draw numbers in [0, 1) that the term may reject, (n, *shape); not logged."""
+        ...
+
+    def log_draw(self, what: str, values: Floats) -> None:
+        """Log what the term made of its tries, (n, *shape), under a name."""
+        ...
+
+    def replayed(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> Floats | None:
+        """Return the recorded draw of a term that is replayed, (n, *shape), or None."""
+        ...
+
 
 class Commands(RandomDraws, Protocol):
     """The commands of a task, by name."""

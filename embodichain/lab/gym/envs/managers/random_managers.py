@@ -102,7 +102,7 @@ class RandomManager(Manager[C]):
         """
         values: Floats | None = None
         if self._recorded:
-            values = self._replayed(what, shape, env_ids)
+            values = self.replayed(what, shape, env_ids)
         if values is None:
             values = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
             if default is not None and self._strength != 1.0:
@@ -136,7 +136,7 @@ class RandomManager(Manager[C]):
         """
         recorded: list[Floats] = []
         for name, where in columns.items():
-            draw = self._replayed(name, (where.stop - where.start,), env_ids)
+            draw = self.replayed(name, (where.stop - where.start,), env_ids)
             if draw is not None:
                 recorded.append(draw)
         values: Floats
@@ -158,7 +158,26 @@ class RandomManager(Manager[C]):
             self._drawn[name] = values[:, where]
         return values
 
-    def _replayed(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> Floats | None:
+    def try_draw(self, shape: Sequence[int], env_ids: EnvIndex) -> Floats:
+        """Draw numbers in [0, 1) for the term that is being called, which may reject them.
+
+        They are not logged: what the term makes of those that it takes is, by `log_draw`. The k-th
+        try of an environment draws the same numbers whichever environments try with it.
+
+        Args:
+            shape: Shape of one environment's draw.
+            env_ids: (n,) environments that draw.
+
+        Returns:
+            (n, *shape) float64.
+        """
+        return self.env.streams.uniform(self._stream, shape, 0.0, 1.0, env_ids)
+
+    def log_draw(self, what: str, values: Floats) -> None:
+        """Log what the term that is being called made of its tries, (n, *shape), under a name."""
+        self._drawn[what] = values
+
+    def replayed(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> Floats | None:
         """Return the recorded draw of a term that is replayed, (n, *shape), or None."""
         draw = self._recorded.get(what)
         if draw is None or draw.shape != tuple(shape):

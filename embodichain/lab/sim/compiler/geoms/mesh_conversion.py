@@ -40,6 +40,7 @@ __all__ = [
     "has_materials",
     "reads",
     "referenced",
+    "split_pieces",
     "write_obj",
 ]
 
@@ -117,6 +118,7 @@ MAX_STL_FACES = 200_000
 
 _VERSION = 2  # increased with every change of the output
 _PARTS_VERSION = 1  # likewise, for convex parts
+_PIECES_VERSION = 1  # likewise, for pieces
 _HULL_VERTICES = 64  # per part, as the compiler keeps of a hull
 _NO_LIMIT = -1  # CoACD's word for as many parts as needed
 _STL_HEADER_BYTES = 84
@@ -241,6 +243,44 @@ def decompose(path: Path, max_parts: int | None = None) -> tuple[Path, ...]:
 
     folder, manifest = entry(name, make)
     return tuple(folder / file for file in manifest["files"])
+
+
+def split_pieces(path: Path) -> tuple[Path, ...]:
+    """Split a mesh into its pieces, as OBJ files: the sets of triangles that share corners.
+
+    Raises:
+        MeshError: If it cannot be read.
+        OSError: If the cache cannot be written.
+    """
+    name = digest(f"pieces {_PIECES_VERSION} {path.name}", [path, *referenced(path)])
+
+    def make(folder: Path) -> dict[str, Any]:
+        files: list[str] = []
+        for number, piece in enumerate(_pieces(joined(read_mesh(path).parts))):
+            file = f"{path.stem}-{name[:8]}-{number}.obj"
+            write_obj(piece, folder / file)
+            files.append(file)
+        return {"files": files}
+
+    folder, manifest = entry(name, make)
+    return tuple(folder / file for file in manifest["files"])
+
+
+def _pieces(mesh: MeshPart) -> list[MeshPart]:
+    """Return the pieces of a mesh whose equal corners are merged."""
+    from scipy.sparse import coo_array  # few scenes have such meshes
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(mesh.vertices)
+    first = mesh.faces[:, [0, 1]].ravel()
+    second = mesh.faces[:, [1, 2]].ravel()
+    edges = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
+    number, piece_of_vertex = connected_components(edges, directed=False)
+    pieces: list[MeshPart] = []
+    for piece in range(number):
+        is_in_piece = piece_of_vertex[mesh.faces[:, 0]] == piece
+        pieces.append(MeshPart.of_corners(mesh.vertices[mesh.faces[is_in_piece]]))
+    return pieces
 
 
 def _split(path: Path, max_parts: int) -> list[MeshPart]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -17,6 +18,7 @@ from embodichain.lab.sim.compiler.geoms.mesh_conversion import (
     decompose,
     has_materials,
     reads,
+    split_pieces,
 )
 from embodichain.lab.sim.compiler.geoms.mesh_reading import MeshError
 from embodichain.lab.sim.compiler.geoms.textures import add_textures
@@ -37,6 +39,7 @@ __all__ = [
     "COLLISION_GROUP",
     "HULL_VERTICES",
     "VISUAL_GROUP",
+    "ConvexParts",
     "add_shape",
     "check_shape",
     "collides",
@@ -58,36 +61,37 @@ _PALETTE = (
     (0.38, 0.65, 0.42),
     (0.58, 0.44, 0.69),
 )
+ConvexParts = int | Literal["pieces"] | None
+"""Collision parts of a mesh: at most so many, 1 being its hull; its pieces; as many as needed."""
 _GEOM = mujoco.mjtGeom
 _INERTIA = mujoco.mjtMeshInertia
 
 
-def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> list[Problem]:
+def check_shape(shape: AnyShapeCfg, scale: F64, parts: ConvexParts = 1) -> list[Problem]:
     """Return every mistake in a shape; paths begin with ``shape`` or ``body_scale``.
 
     Args:
         shape: The shape; a mesh file is read (`add_shape` needs it as well).
         scale: (3,) factors.
-        max_parts: Maximum number of convex collision parts; 1 is the hull, None as many as needed.
+        parts: Its convex collision parts.
     """
     problems: list[Problem] = []
     if isinstance(shape, (CylinderCfg, CapsuleCfg)) and scale[0] != scale[1]:
         message = f"a {shape.shape_type} scales equally along x and y, got {scale.tolist()}"
         problems.append(Problem("body_scale", message))
     if isinstance(shape, MeshCfg):
-        problems += _check_mesh(shape, max_parts)
+        problems += _check_mesh(shape, parts)
     return problems
 
 
-def _check_mesh(shape: MeshCfg, max_parts: int | None) -> list[Problem]:
+def _check_mesh(shape: MeshCfg, parts: ConvexParts) -> list[Problem]:
     """Return what is wrong with a mesh file: it is read, and converted where that is needed."""
     if not shape.fpath:
         return [Problem("shape.fpath", "a Mesh needs a file")]
     try:
         path = Path(get_data_path(shape.fpath))
         _shape_file(path)
-        if max_parts != 1:
-            decompose(path, max_parts)
+        _convex_files(path, parts)
         if shape.visual_material is None:
             _convert_look(path)
     except (DataNotFoundError, OutsideError, MeshError, OSError) as error:
@@ -102,7 +106,7 @@ def add_shape(
     shape: AnyShapeCfg,
     scale: F64,
     number: int,
-    max_parts: int | None = 1,
+    parts: ConvexParts = 1,
 ) -> mujoco.MjsGeom:
     """Add geom ``uid/geom`` with type, size (half sizes, MuJoCo's) and material, and return it.
 
@@ -113,11 +117,11 @@ def add_shape(
         shape: The shape, checked.
         scale: (3,) factors.
         number: Selects a colour if there is none.
-        max_parts: See `check_shape`.
+        parts: See `check_shape`.
     """
     geom = body.add_geom(name=f"{uid}/geom")
     if isinstance(shape, MeshCfg):
-        _add_mesh(spec, geom, uid, shape, scale, number, max_parts)
+        _add_mesh(spec, geom, uid, shape, scale, number, parts)
         return geom
     geom.material = _surface(spec, uid, shape.visual_material, number)
     if isinstance(shape, CubeCfg):
@@ -170,7 +174,7 @@ def _add_mesh(
     shape: MeshCfg,
     scale: F64,
     number: int,
-    max_parts: int | None,
+    parts: ConvexParts,
 ) -> None:
     """Turn a geom into the mesh, and add geoms to its body where one is not enough.
 
@@ -186,6 +190,8 @@ def _add_mesh(
     mesh = _add_mesh_file(spec, f"{uid}/mesh", file, scale)
     if not reads(path):
         mesh.inertia = _INERTIA.mjMESH_INERTIA_CONVEX
+    if parts == "pieces":  # MuJoCo's default one fills what is hollow
+        mesh.inertia = _INERTIA.mjMESH_INERTIA_EXACT
     geom.type = _GEOM.mjGEOM_MESH
     geom.meshname = mesh.name
 
@@ -203,11 +209,21 @@ def _add_mesh(
             name = f"{uid}/material_{i}" if i else f"{uid}/material"
             visual.material = _add_material(spec, name, part)
 
-    if max_parts != 1:
+    convex_files = _convex_files(path, parts)
+    if convex_files:
         geom.contype = geom.conaffinity = 0
-        for i, part_file in enumerate(decompose(path, max_parts)):
-            part_mesh = _add_mesh_file(spec, f"{uid}/part_{i}", part_file, scale)
-            _add_massless_geom(body, part_mesh.name, COLLISION_GROUP)
+    for i, part_file in enumerate(convex_files):
+        part_mesh = _add_mesh_file(spec, f"{uid}/part_{i}", part_file, scale)
+        _add_massless_geom(body, part_mesh.name, COLLISION_GROUP)
+
+
+def _convex_files(path: Path, parts: ConvexParts) -> tuple[Path, ...]:
+    """Return the files of a mesh's convex parts; none if its hull collides."""
+    if parts == 1:
+        return ()
+    if parts == "pieces":
+        return split_pieces(path)
+    return decompose(path, parts)
 
 
 def _add_mesh_file(spec: mujoco.MjSpec, name: str, file: Path, scale: F64) -> mujoco.MjsMesh:

@@ -9,10 +9,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.cfg import ObjectBaseCfg, RigidObjectCfg, VariantCfg
+from embodichain.lab.sim.cfg import ObjectBaseCfg, RigidObjectCfg, SiteCfg, VariantCfg
 from embodichain.lab.sim.compiler.geoms.contact_parameters import set_contact_parameters
 from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
 from embodichain.lab.sim.compiler.geoms.shape_geoms import (
+    ConvexParts,
     add_shape,
     check_shape,
     inertia_about_axes,
@@ -43,6 +44,11 @@ __all__ = [
 def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     """Return every mistake in an object's config, with paths below it."""
     problems = check_pose(cfg) + _check_attrs(cfg) + check_object_contact(cfg)
+    for name, site in cfg.sites.items():
+        path = f"sites.{name}"
+        mistakes = check_uid(name, path, {})
+        mistakes += [mistake.below(path) for mistake in _check_place(site)]
+        problems += mistakes
     if cfg.any_of:
         # A config made in Python cannot say whether a default was given; for YAML, see
         # `config.checks.given_keys`.
@@ -59,6 +65,10 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     return problems
 
 
+_THINNEST = 1e-9
+"""Metres: MuJoCo's boxes have a thickness."""
+_SITE_GROUP = 4
+"""MuJoCo draws the groups 0 to 2 by default."""
 OF_EACH_SHAPE = ("shape", "body_scale", "max_convex_hull_num", "collision")
 """Fields of an object that each shape of `any_of` has instead."""
 HAS_SHAPES = "the object has any_of: give each of its shapes there"
@@ -75,13 +85,13 @@ _PLACE_KEYS = {"init_pos": "pos", "init_rot": "rot", "init_quat": "quat"}
 """Keys of a pose -> keys of a shape of `any_of`."""
 
 
-def _check_place(variant: VariantCfg) -> list[Problem]:
-    mistakes = check_pose(_place(variant))
+def _check_place(part: VariantCfg | SiteCfg) -> list[Problem]:
+    mistakes = check_pose(_place(part))
     return [Problem(_PLACE_KEYS[p.path], p.message, p.hint) for p in mistakes]
 
 
-def _place(variant: VariantCfg) -> ObjectBaseCfg:
-    return ObjectBaseCfg(init_pos=variant.pos, init_rot=variant.rot, init_quat=variant.quat)
+def _place(part: VariantCfg | SiteCfg) -> ObjectBaseCfg:
+    return ObjectBaseCfg(init_pos=part.pos, init_rot=part.rot, init_quat=part.quat)
 
 
 def shapes_of(cfg: RigidObjectCfg) -> dict[str, RigidObjectCfg]:
@@ -112,6 +122,9 @@ def _check_shape(cfg: RigidObjectCfg) -> list[Problem]:
     if cfg.collision == "decompose" and _given_parts(cfg) == 1:
         message = "1 part is the hull, but collision is decompose: leave one of them out"
         problems.append(Problem("max_convex_hull_num", message))
+    if cfg.collision == "pieces" and _given_parts(cfg) is not None:
+        message = "collision is pieces: the mesh has as many parts as pieces; leave this out"
+        problems.append(Problem("max_convex_hull_num", message))
     scale = np.asarray(cfg.body_scale, np.float64)
     parts = _convex_parts(cfg)
     if parts != 1 and not isinstance(cfg.shape, MeshCfg):
@@ -136,8 +149,10 @@ def _check_attrs(cfg: RigidObjectCfg) -> list[Problem]:
     return []
 
 
-def _convex_parts(cfg: RigidObjectCfg) -> int | None:
-    """Maximum number of convex parts of a mesh; 1 is its hull, None as many as needed."""
+def _convex_parts(cfg: RigidObjectCfg) -> ConvexParts:
+    """The convex parts that a mesh collides as."""
+    if cfg.collision == "pieces":
+        return "pieces"
     number = _given_parts(cfg)
     if number is not None:
         return number
@@ -180,7 +195,7 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
             shape=shape.shape,
             scale=np.asarray(shape.body_scale, np.float64),
             number=number + order,
-            max_parts=_convex_parts(shape),
+            parts=_convex_parts(shape),
         )
         if shape.attrs.mass > 0:
             geom.mass = float(shape.attrs.mass)
@@ -200,6 +215,21 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
             for part in geoms:
                 part.rgba[3] = 0.0
     keep_hull_inertia(spec, body)
+    for name, site in cfg.sites.items():
+        _add_site(body, f"{uid}/{name}", site, np.asarray(cfg.body_scale, np.float64))
+
+
+def _add_site(body: mujoco.MjsBody, name: str, cfg: SiteCfg, scale: F64) -> None:
+    """Add a site, which is not drawn."""
+    pos, quat = initial_pose(_place(cfg))
+    site = body.add_site(name=name, pos=pos * scale, quat=quat, group=_SITE_GROUP)
+    if cfg.size is None:
+        return
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, quat)
+    scale_along_edges = scale @ rotation.reshape(3, 3) ** 2
+    site.type = mujoco.mjtGeom.mjGEOM_BOX
+    site.size = np.maximum(0.5 * np.asarray(cfg.size) * scale_along_edges, _THINNEST)
 
 
 def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:

@@ -30,6 +30,7 @@ EXAMPLES = {
 }
 STEPS, SEARCH = "physics steps of some environments", "searches for joint positions"
 REFUSED = {
+    "arrange_objects": ({}, "searches for free places"),
     "place_terrain": ({}, "terms of a terrain"),
     "planner_grid_cell_sampler": ({"physics_update_step": 5}, f"physics_update_step: {STEPS}"),
     "randomize_pose": ({"physics_update_step": 5}, f"physics_update_step: {STEPS}"),

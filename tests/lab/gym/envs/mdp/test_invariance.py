@@ -128,10 +128,16 @@ def test_a_restored_environment_continues_to_the_byte(make) -> None:
 
 # Randomizers of model fields have a test like this one of their own, in test_randomizers_exact;
 # a film changes nothing, textures are in test_camera_events, shapes in test_shape_events.
-# Terms of a terrain: test_terrain.
+# Terms of a terrain: test_terrain. Objects that are arranged: test_arrange_objects.
 # The action operational_space, which needs a robot without drives: test_operational_space.
 ELSEWHERE = {case.func for case in randomizers.CASES}
-ELSEWHERE |= {"record_camera_data", "randomize_shape", "randomize_texture", "place_terrain"}
+ELSEWHERE |= {
+    "arrange_objects",
+    "record_camera_data",
+    "randomize_shape",
+    "randomize_texture",
+    "place_terrain",
+}
 TERRAIN = {"height_above_ground", "terrain_edge_distance", "terrain_level"}
 USED = {
     "action": {*ACTIONS, "operational_space"},

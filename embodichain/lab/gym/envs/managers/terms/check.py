@@ -390,7 +390,7 @@ def _keys_of(details: Any, value: Any) -> Iterator[str | int]:
 def _fields(hint: Any) -> list[str]:
     """Return the keys of the config class that an annotation names; of an entity without one."""
     cls = _config_class(hint) or SceneEntityCfg
-    return [field.name for field in dataclasses.fields(cls)]
+    return [field.name.removesuffix("_") for field in dataclasses.fields(cls)]
 
 
 def _config_class(hint: Any) -> type[Any] | None:
