@@ -31,6 +31,7 @@ __all__ = [
 
 _MUST_BE_POSITIVE = "must be positive metres, got {}"
 Metres = Annotated[float, require(_MUST_BE_POSITIVE, is_positive)]
+Edge = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 def _are_positive(lengths: list[float]) -> bool:
