@@ -63,6 +63,7 @@ class Performance:
     [
         ("pick_place", 130),
         ("stack_cubes", 150),
+        ("clutter_pick", 190),
         ("lift_cube", 200),
         ("press_button", 100),
         ("open_drawer", 130),
