@@ -125,8 +125,8 @@ class StepResult:
             "fail": self.fail,
             "diverged": self.diverged,
             "metrics": self.metrics,
-            "rewards": self.rewards,
-            "episode_sums": self.episode_sums,
+            "rewards": self.rewards if self.rewards.names else {},
+            "episode_sums": self.episode_sums if self.episode_sums.names else {},
         }
         if self.curriculum:
             entries["curriculum"] = self.curriculum

@@ -176,6 +176,14 @@ def test_arrays_of_a_vector_environment_do_not_change(make: Any, mode: str) -> N
         assert snapshot(result) == before
 
 
+def test_without_rewards_info_has_empty_maps(make: Any) -> None:
+    env = make(rewards={})
+    env.reset()
+    info = env.step(torch.from_numpy(actions(1)[0]))[-1]
+    assert (info["rewards"], info["episode_sums"]) == ({}, {})
+    assert type(info["rewards"]) is type(info["episode_sums"]) is dict
+
+
 def snapshot(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: snapshot(entry) for key, entry in value.items()}
