@@ -146,7 +146,7 @@ def test_nothing_is_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
         (("task", "2fast"), "is not a name for a task"),
         (("task", "reach"), "there is a task 'reach' already"),
         (("task", "json", "--python"), "Python has a module 'json' already"),
-        (("taks", "mine"), "Invalid value for 'task': 'taks' is not 'task'."),
+        (("taks", "mine"), "'taks' is not one of 'task', 'embodiment'."),
         (("task",), "NAME"),
         (("task", "mine", "--pyhton"), "Did you mean '--python'?"),
     ],

@@ -146,17 +146,18 @@ def push(
     clearance: NonNegative = 0.05,
     height: float = 0.0,
     above: NonNegative = 0.1,
+    free: bool = False,
 ) -> Made:
     """Lowers the tool behind an object, moves it straight on until that is at a target, then up.
 
     The tool is `behind` the object's origin when it touches it, `height` above it; it is lowered
-    `clearance` farther behind.
+    `clearance` farther behind. With `free`, it may turn on the way.
     """
     offset = (0.0, 0.0, height)
-    start = Goal(of, offset, beyond=Beyond(to, behind + clearance))
+    start = Goal(of, offset, beyond=Beyond(to, behind + clearance), free=free)
     yield make.move(dataclasses.replace(start, above=above))
     yield make.move(start)
-    yield make.move(Goal(to, offset, beyond=Beyond(of, -behind)))
+    yield make.move(Goal(to, offset, beyond=Beyond(of, -behind), free=free))
     yield from lift(make, above)
 
 
