@@ -380,9 +380,9 @@ class ViewCfg:
 
     def check(self) -> list[Problem]:
         """Return the mistakes of values that do not go together, with paths below it."""
-        given = [name for name in _VIEW_PLACES if getattr(self, name) is not None]
-        if len(given) != 1:
-            got = " and ".join(given) or "none"
+        places = [name for name in _VIEW_PLACES if getattr(self, name) is not None]
+        if len(places) != 1:
+            got = " and ".join(places) or "none"
             return [Problem("", f"needs one of {', '.join(_VIEW_PLACES)}, got {got}")]
         if self.camera is not None:
             problems = self._check_camera()
@@ -397,10 +397,10 @@ class ViewCfg:
     def _check_camera(self) -> list[Problem]:
         """A camera of a file has its own pose."""
         message = "has no effect on a camera of a file: leave it out"
-        given = [name for name in ("target", "body") if getattr(self, name) is not None]
+        keys = [name for name in ("target", "body") if getattr(self, name) is not None]
         if tuple(self.up) != ViewCfg.up:
-            given.append("up")
-        return [Problem(name, message) for name in given]
+            keys.append("up")
+        return [Problem(key, message) for key in keys]
 
     def _check_direction(self) -> list[Problem]:
         """A distance that shows the whole scene has no meaning beside one body."""

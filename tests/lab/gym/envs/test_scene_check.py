@@ -21,6 +21,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SolverCfg,
 )
+from embodichain.lab.sim.configs.config_types import config_types
 from embodichain.lab.sim.shapes import CubeCfg, MeshCfg, PlaneCfg, SphereCfg
 from tests.lab.sim.compiler.helpers import HOME, UR10
 
@@ -241,12 +242,11 @@ def test_objects_and_lights_are_checked_too():
         },
         lights={"sun": LightCfg(direction=(0, 0, 0), color=(2, 0, 0))},
     )
+    of_types = {p.path for p in config_types(EnvCfg).check_instance(cfg)}
+    assert of_types == {"objects.goal.shape.size", "lights.sun.color", "lights.sun.direction"}
     assert [p.path for p in describe(cfg).problems] == [
-        "objects.goal.shape.size",
         "objects.floor.body_type",
         "objects.mesh.shape.fpath",
-        "lights.sun.color",
-        "lights.sun.direction",
     ]
 
 
