@@ -3,6 +3,7 @@
 A variation is an entry ``task.variations.NAME``: files of the group `variation` are placed there.
 After composing, `merge_variations` makes of each entry what the task's own sections take:
 
+* `objects` become objects of the task: at a strength below 1 the first of them;
 * an event becomes an event of the task, with ``for_each`` one for each entity of a kind;
 * `noise` and `delay` of an observation or action become those of the task's own term, with ``each``
   those of every term.
@@ -27,7 +28,7 @@ __all__ = ["Merged", "merge_variations"]
 Tree = dict[str, Any]
 EACH = "each"
 """In an event with `for_each` the entity's name; in `observations` and `actions` every term."""
-_KEYS = ("description", "strength", "events", "observations", "actions")
+_KEYS = ("description", "strength", "needs", "objects", "events", "observations", "actions")
 _DISTURBANCES = ("noise", "delay")
 _REFERENCES = ("of", "entity_cfg", "camera", "sensor")
 """Parameters of an event that say what it changes."""
@@ -119,17 +120,31 @@ class _Merger:
                 message, hint = unknown_key(str(key), _KEYS)
                 self._report(f"{path}.{key}", message, hint)
         strength = self._strength(variation.get("strength", 1.0), f"{path}.strength")
+        missing = self._missing(variation.get("needs"), f"{path}.needs")
+        if missing:
+            self._note(path, f"changes nothing: this task has no {listing(missing)}")
+            return
         changes_before = len(self._merged.origins) + len(self._merged.problems)
         self._left_alone = {}
+        objects = dict(self._entries(variation, "objects", path))
+        added = list(objects)[: round(strength * len(objects))]
+        for name in added:
+            self._insert("objects", name, objects[name], f"{path}.objects.{name}")
         for key, event in self._entries(variation, "events", path):
-            self._add_event(key, event, f"{path}.events.{key}", strength)
+            placed = _placed_by(event, objects)
+            if not placed:
+                self._add_event(key, event, f"{path}.events.{key}", strength)
+            elif placed & set(added):
+                arranged = _without_objects(event, placed - set(added))
+                self._add_event(key, arranged, f"{path}.events.{key}", 1.0)
         for section in ("observations", "actions"):
             for key, disturbance in self._entries(variation, section, path):
                 where = f"{path}.{section}.{key}"
                 self._disturb(section, key, disturbance, where, strength)
         for where, terms in self._left_alone.items():
             self._note(where, f"does not change that of {listing(terms)}, which the task sets")
-        if len(self._merged.origins) + len(self._merged.problems) == changes_before:
+        changes = len(self._merged.origins) + len(self._merged.problems)
+        if changes == changes_before and strength > 0.0:
             self._note(path, "changes nothing: this task has none of what it is about")
 
     def _entries(self, variation: Tree, section: str, path: str) -> Iterator[tuple[str, Tree]]:
@@ -162,6 +177,18 @@ class _Merger:
     def _note(self, path: str, message: str) -> None:
         self._merged.notes.append(Problem(path, message, source=self._source(path)))
 
+    def _missing(self, needs: Any, path: str) -> list[str]:
+        """The entities that a variation needs and the task does not have."""
+        if needs is None:
+            return []
+        if not isinstance(needs, list):
+            self._report(path, f"expected a list, got {show_value(needs)}")
+            return []
+        furniture = [uid for uid in ("table", "pedestal") if _section(self._task, "scene").get(uid)]
+        uids = {*_objects(self._task), *_robots(self._task), *furniture}
+        uids.update(_section(self._task, "articulations"))
+        return [str(uid) for uid in needs if uid not in uids]
+
     # -- events --------------------------------------------------------------------------------
 
     def _add_event(self, key: str, event: Tree, path: str, strength: float) -> None:
@@ -172,7 +199,7 @@ class _Merger:
             own = self._strength(declared.get("strength", 1.0), f"{path}.strength")
             declared["strength"] = strength * own
         if kind is None:
-            self._insert_event(key, declared, path)
+            self._insert("events", key, declared, path)
             return
         if kind not in _ENTITIES:
             hint = did_you_mean(str(kind), _ENTITIES).strip()
@@ -180,18 +207,20 @@ class _Merger:
             self._report(f"{path}.for_each", message, hint)
             return
         for uid in _ENTITIES[kind](self._task):
-            self._insert_event(f"{key}_{uid}", _named(declared, uid), path)
+            self._insert("events", f"{key}_{uid}", _named(declared, uid), path)
 
-    def _insert_event(self, name: str, event: Tree, path: str) -> None:
-        events = self._task.setdefault("events", {})
-        if not isinstance(events, dict):
+    def _insert(self, section: str, name: str, entry: Tree, path: str) -> None:
+        """Add an entry to a section of the task, which must not have one of this name."""
+        entries = self._task.setdefault(section, {})
+        if not isinstance(entries, dict):
             return  # the check of types reports it
-        if name in events:
-            message = f"the task has an event {name!r} already ({self._place('events', name)})"
-            self._report(path, message)
+        if name in entries:
+            what = section.removesuffix("s")
+            place = self._place(section, name)
+            self._report(path, f"the task has an {what} {name!r} already ({place})")
             return
-        events[name] = event
-        self._merged.origins[f"task.events.{name}"] = path
+        entries[name] = copy.deepcopy(entry)
+        self._merged.origins[f"task.{section}.{name}"] = path
 
     def _place(self, section: str, name: str) -> str:
         """Where an entry of the task was set, before or by a variation."""
@@ -304,6 +333,8 @@ def _fields_of(event: Any) -> set[_Field]:
     if not isinstance(params, dict) or event["func"] in _ADDING:
         return set()
     func, names = _target_of(event["func"])
+    if func == "arrange_objects" and isinstance(params.get("objects"), dict):
+        return {_Field(func, str(uid), "place") for uid in params["objects"]}
     references = [params[key] for key in _REFERENCES if key in params]
     reference = ", ".join(map(_reference_text, references))
     return {
@@ -334,6 +365,21 @@ def _reference_text(reference: Any) -> str:
     uid = str(reference.get("uid", ""))
     picked = [value for key, value in sorted(reference.items()) if key != "uid"]
     return " ".join([uid, *map(str, picked)])
+
+
+def _placed_by(event: Tree, objects: Tree) -> set[str]:
+    """The objects of a variation that an event arranges."""
+    params = event.get("params")
+    arranged = params.get("objects") if isinstance(params, dict) else None
+    return set(objects) & set(arranged) if isinstance(arranged, dict) else set()
+
+
+def _without_objects(event: Tree, names: set[str]) -> Tree:
+    """A copy of an event that arranges objects, without some of them."""
+    remaining = copy.deepcopy(event)
+    for name in names:
+        del remaining["params"]["objects"][name]
+    return remaining
 
 
 def _named(value: Any, uid: str) -> Any:

@@ -15,6 +15,7 @@ from embodichain.utils.errors import ConfigError
 
 VARIATIONS = list_options("variation")
 STEPS = 12
+_MOVABLE = ["cube", "stand", "bowl", "mug", "bottle", "clutter_can", "clutter_mug", "clutter_ball"]
 
 
 def _problems(*overrides: str, folder: Path | None = None) -> list[str]:
@@ -155,7 +156,7 @@ def test_a_task_may_have_variations_of_its_own(tmp_path: Path) -> None:
         ({"strength": "full"}, "task.variations.mine.strength: expected a number, got 'full'"),
         (
             {"strenght": 1},
-            "unknown key; allowed: description, strength, events, observations, actions. Did",
+            "unknown key; allowed: description, strength, needs, objects, events",
         ),
         ({"events": []}, "task.variations.mine.events: expected a map, got []"),
         (
@@ -182,6 +183,33 @@ def test_a_mistake_in_a_variation_is_reported_once_with_its_place(
     matching = [problem for problem in problems if expected in problem]
     assert len(matching) == 1, problems
     assert "mine.yaml:" in matching[0]
+
+
+@pytest.mark.parametrize(("strength", "count"), [(1, 4), (0.5, 2), (0, 0)])
+def test_clutter_adds_as_many_things_as_its_strength_says(strength: float, count: int) -> None:
+    overrides = ["variation=[clutter]", f"task.variations.clutter.strength={strength}"]
+    task = compose(["task=pick_place", *overrides]).tree["task"]
+    things = [name for name in task["objects"] if name.startswith("clutter_")]
+    assert len(things) == count
+    event = task["events"].get("clutter", {"params": {"objects": {}}})
+    assert list(event["params"]["objects"]) == things
+
+
+def test_clutter_is_placed_beside_the_things_of_the_task() -> None:
+    env = embodichain.make("clutter_pick", num_envs=4, overrides=["variation=[clutter]"], seed=2)
+    try:
+        env.reset(seed=2)
+        places = [env.sim.get_rigid_object(uid).get_local_pose()[:, :2] for uid in _MOVABLE]
+    finally:
+        env.close()
+    for i, place in enumerate(places):
+        for other in places[i + 1 :]:
+            assert ((place - other).norm(dim=1) > 0.03).all()
+
+
+def test_clutter_without_a_table_is_noted() -> None:
+    (note,) = compose(["task=reach", "variation=[clutter]"]).notes
+    assert "changes nothing: this task has no table" in note.message
 
 
 def test_an_unknown_variation_is_named_with_the_closest_one() -> None:
