@@ -320,8 +320,10 @@ class _Gripper:
 
 def _gripper_of(entity: ResolvedEntity) -> _Gripper | None:
     """The gripper that a reference names, if the robot's config describes it."""
-    parsed = getattr(entity.asset, "parsed", None)
-    grippers: Mapping[str, GripperCfg] = getattr(getattr(parsed, "cfg", None), "grippers", {})
+    if not hasattr(entity.asset, "parsed"):
+        return None
+    parsed: Any = entity.asset.parsed
+    grippers: Mapping[str, GripperCfg] = getattr(parsed.cfg, "grippers", {})
     if entity.control_parts:
         parts = [part for part in entity.control_parts if part in grippers]
         if len(entity.control_parts) == 1 and parts:
