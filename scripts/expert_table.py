@@ -86,7 +86,7 @@ def success(task: str, embodiment: str, *, episodes: int, num_envs: int) -> str:
     if done.returncode != 0:
         print(done.stderr, file=sys.stderr)
         return "-"
-    return f"{100 * json.loads(done.stdout)['success']:.1f} %"
+    return f"{100 * json.loads(done.stdout)['metrics']['success']:.1f} %"
 
 
 def read_cells(page: str) -> Cells:

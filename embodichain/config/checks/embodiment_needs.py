@@ -138,7 +138,7 @@ def _robots(tree: Any) -> dict[str, Mapping[str, Any]]:
     task = tree.get("task") if isinstance(tree, Mapping) else None
     if not isinstance(task, Mapping):
         return {}
-    robots: dict[str, Mapping[str, Any]] = {}
+    robots: dict[str, Any] = {}
     for uid, robot in (task.get("robots") or {}).items():
         robots[str(uid)] = robot
     robot = task.get("robot")

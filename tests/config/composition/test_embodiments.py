@@ -11,6 +11,9 @@ import embodichain
 from embodichain.cli import main
 from embodichain.config import compose, list_options, validate
 from embodichain.config.resolved import resolve
+from embodichain.data.pretrained import pretrained
+from embodichain.learning import load_policy
+from embodichain.utils.errors import ConfigError
 
 CONF = Path(embodichain.__file__).parent / "conf"
 ARMS = ("reach", "reach_pose", "reach_workspace", "push_cube")
@@ -199,6 +202,21 @@ def test_the_home_is_solved_where_the_task_gives_it():
     assert "the tool cannot be there: the nearest pose that was found is" in str(far[0])
     odd = validate(compose(["task=reach", "+task.robot.home={pos: [0.6, 0, 1], link: hand}"]))
     assert "no link is called 'hand'" in str(odd[0])
+
+
+@pytest.mark.parametrize("task", ["reach", "reach_workspace", "push_cube", "press_button"])
+def test_a_policy_fits_that_was_trained_when_the_robot_had_another_name(task):
+    policy = load_policy(pretrained(task).file)
+    env = embodichain.make(task, 1, ["seed=1"])
+    obs, _ = env.reset()
+    policy(obs, env)
+    assert policy.changed == ()
+    env.close()
+    other = embodichain.make(task, 1, ["seed=1", "embodiment=ur10_gripper", "~task.expert"])
+    if other.robot.parsed.joint_names != env.robot.parsed.joint_names:
+        with pytest.raises(ConfigError, match="was trained in another task"):
+            load_policy(pretrained(task).file)(other.reset()[0], other)
+    other.close()
 
 
 def test_list_and_new(empty_cwd, capsys):

@@ -314,7 +314,7 @@ def _compile(
                 home,
                 model,
                 start_posture(model, qpos, keyframe),
-                joints=movable_joints(model),
+                joints=[int(joint) for joint in movable_joints(model)],
                 followers=[mimic.joint for mimic in mimics],
                 aliases=aliases,
                 root=root.name,
