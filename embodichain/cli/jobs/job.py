@@ -293,7 +293,7 @@ def start(verb: JobVerb, work: Work, options: JobOptions) -> None:
 
         overrides.append(override_of(options.gym_config))
     # Read here: the workers of a sweep are not called by this command line.
-    run_job = partial(execute, work=work, command=command_line(), verb=verb)
+    execute_job = partial(execute, work=work, command=command_line(), verb=verb)
 
     def check(job_overrides: Sequence[str]) -> Resolved:
         """Check a job of Hydra's, which is resolved and compiled again where it runs."""
@@ -304,9 +304,9 @@ def start(verb: JobVerb, work: Work, options: JobOptions) -> None:
     if _needs_hydra(options, overrides):
         from embodichain.cli.sweeps.sweeping import call_hydra
 
-        call_hydra(verb, check, run_job, options, overrides=overrides)
+        call_hydra(verb, check, execute_job, options, overrides=overrides)
     else:
-        run_job(resolve_job(compose(overrides, verb), verb))
+        execute_job(resolve_job(compose(overrides, verb), verb))
 
 
 def _needs_hydra(options: JobOptions, overrides: Sequence[str]) -> bool:

@@ -29,7 +29,7 @@ from embodichain.recording.format.log_error import LogError
 from embodichain.recording.format.messages.block import CallKind
 from embodichain.recording.read.recorded_log import RecordedLog
 from embodichain.recording.read.simulation import Simulation
-from embodichain.recording.read.trajectory import Rows, Span, changes, follow, outcomes
+from embodichain.recording.read.trajectory import FollowedRows, Span, changes, follow, outcomes
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -255,11 +255,11 @@ class Reenactment:
                 f"{when}: {_CHANGED}"
             )
 
-    def _follower(self) -> Rows:
+    def _follower(self) -> FollowedRows:
         log = self._log
         if log.header.keyframe_every:
             return Simulation(log.reader, log.model_to_simulate)
-        return Rows(log.reader)
+        return FollowedRows(log.reader)
 
     def _check_scene(self) -> None:
         log = self._log
@@ -349,7 +349,7 @@ class _Comparison(StepObserver):
         largest: Largest difference of a position.
     """
 
-    def __init__(self, log: RecordedLog, rows: Rows) -> None:
+    def __init__(self, log: RecordedLog, rows: FollowedRows) -> None:
         self._path = log.path
         self._rows = rows
         layout = log.header.layout

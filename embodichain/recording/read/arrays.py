@@ -16,7 +16,14 @@ from embodichain.recording.format.messages.block import CallKind, Run
 from embodichain.recording.format.messages.columns import Column
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.simulation import Simulation
-from embodichain.recording.read.trajectory import Rows, Span, changes, follow, outcomes, runs
+from embodichain.recording.read.trajectory import (
+    FollowedRows,
+    Span,
+    changes,
+    follow,
+    outcomes,
+    runs,
+)
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -118,7 +125,7 @@ class LogArrays:
 
 def gather(
     reader: LogReader,
-    rows: Rows,
+    rows: FollowedRows,
     span: Span,
     names: Sequence[str],
     columns: Mapping[str, Sequence[Column]],
@@ -187,7 +194,7 @@ def _no_steps(name: str, num_envs: int, num_columns: int) -> NDArray[Any]:
 
 def _run_steps(
     reader: LogReader,
-    rows: Rows,
+    rows: FollowedRows,
     span: Span,
     slices: Mapping[str, slice],
     pieces: dict[str, list[NDArray[Any]]],

@@ -40,7 +40,7 @@ from embodichain.recording.read.events import (
     read_writes,
 )
 from embodichain.recording.read.simulation import Simulation
-from embodichain.recording.read.trajectory import Rows, Span, outcomes, runs
+from embodichain.recording.read.trajectory import FollowedRows, Span, outcomes, runs
 from embodichain.utils.array_types import EnvIds
 from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
@@ -268,9 +268,9 @@ class RecordedLog:
             span = self._span_of(env_ids, episode, span)
         simulates = self._simulate and self.header.keyframe_every > 0
         if simulates and any(name in self.header.layout for name in names):
-            rows: Rows = Simulation(self.reader, self.model_to_simulate, env_ids)
+            rows: FollowedRows = Simulation(self.reader, self.model_to_simulate, env_ids)
         else:
-            rows = Rows(self.reader, env_ids)
+            rows = FollowedRows(self.reader, env_ids)
         return gather(self.reader, rows, span, names, self.columns)
 
     @property

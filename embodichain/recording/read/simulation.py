@@ -19,7 +19,7 @@ from embodichain.recording.format.messages.block import Call, Run
 from embodichain.recording.format.messages.columns import column_name
 from embodichain.recording.format.messages.hashing import row_hashes
 from embodichain.recording.read.chunks import LogReader
-from embodichain.recording.read.trajectory import Rows, columns_of
+from embodichain.recording.read.trajectory import FollowedRows, columns_of
 from embodichain.utils.array_types import EnvIds
 
 __all__ = ["TOLERANCE", "Active", "Difference", "DifferenceFound", "Simulation", "always", "never"]
@@ -83,7 +83,7 @@ def never(n: int) -> Active:
     return lambda step: mask
 
 
-class Simulation(Rows):
+class Simulation(FollowedRows):
     """Selected environments of a log on a separate engine.
 
     Physics is simulated where it is compared, or where the log has no states; otherwise its result

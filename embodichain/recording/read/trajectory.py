@@ -1,7 +1,7 @@
 """Follows a log: its runs of control steps in order, and the input rows of each step's physics.
 
-`Rows` takes every row from the log, so it needs no model. `simulation.Simulation` does the same on
-an engine, which also has the model fields and can simulate the physics again.
+`FollowedRows` takes every row from the log, so it needs no model. `simulation.Simulation` does the
+same on an engine, which also has the model fields and can simulate the physics again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from embodichain.recording.read.chunks import ChunkPlace, LogReader
 from embodichain.utils.array_types import EnvIds
 
 __all__ = [
-    "Rows",
+    "FollowedRows",
     "Span",
     "columns_of",
     "follow",
@@ -198,7 +198,7 @@ class Selection(NamedTuple):
     positions: EnvIds | slice
 
 
-class Rows:
+class FollowedRows:
     """The recorded rows of selected environments.
 
     Args:
@@ -321,7 +321,7 @@ class Rows:
 
 
 def follow(
-    reader: LogReader, rows: Rows, span: Span = _ALL, is_read: CallFilter = changes
+    reader: LogReader, rows: FollowedRows, span: Span = _ALL, is_read: CallFilter = changes
 ) -> Iterator[tuple[Run, int]]:
     """Yield each finished control step, while `rows` are the input of its physics.
 
@@ -347,7 +347,7 @@ def follow(
             yield run, t
 
 
-def _steps_of(reader: LogReader, rows: Rows, run: Run, span: Span) -> Iterator[int]:
+def _steps_of(reader: LogReader, rows: FollowedRows, run: Run, span: Span) -> Iterator[int]:
     """Like `follow`, for the steps of one run; yields indices within it."""
     physics_index = physics_call(reader, run) if run.steps else len(run.calls)
     for t in range(run.count):

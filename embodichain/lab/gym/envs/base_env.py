@@ -526,9 +526,11 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         and contact forces (``qf``) are those within the last physics step.
 
         An environment that diverges (a MuJoCo warning counter rises, or its observation or reward
-        is not finite) is terminated with ``info["diverged"]``, reward 0 and its last finite
-        observation as the final one. The other environments are not affected. A warning says
-        whether its physics diverged, or names the terms that are not finite although physics is.
+        is not finite) is terminated with ``info["diverged"]``, reward 0 and the numbers of its last
+        finite observation in the final one; images and integers stay as just observed, because a
+        copy of them in each step would be slow. The other environments are not affected. A warning
+        says whether its physics diverged, or names the terms that are not finite although physics
+        is.
 
         Args:
             action: (N, A) finite floating tensor on the environment's device, or a numpy array, or
@@ -588,7 +590,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         return self._check_action(action)
 
     def _step_by_graph(self, graph: StepGraph, action: torch.Tensor) -> Step:
-        """Take a step by a CUDA graph, once one is recorded; a replay runs no Python."""
+        """Take a step by a CUDA graph, once one is captured; a replay runs no Python."""
         steps_before = self.control_step
         arrays_moved = self.arrays_moved
         self.arrays_moved = False
@@ -630,7 +632,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.control_step += 1
 
         judged_obs = None
-        if judge.takes_obs:
+        if judge.obs_is_needed:
             judged_obs = self._step_observation.to_judge(kwargs, stepped)
         self.command_manager.measure(stepped)
         result = judge.judge(judged_obs, action, kwargs)

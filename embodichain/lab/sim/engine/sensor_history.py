@@ -27,7 +27,7 @@ class SensorHistory:
     def __init__(self, num_envs: int, put: Callable[[NDArray[Any]], Any]) -> None:
         self._num_envs = num_envs
         self._put = put
-        # Arrays are written in place: a recorded step (`StepGraph`) finds them at their address.
+        # Arrays are written in place: a captured step (`StepGraph`) finds them at their address.
         self._parts: dict[_Key, Any] = {}
         self._fresh = put(np.ones(num_envs, np.bool_))
         """(N,) environments without a physics step since their last `forward`."""
@@ -73,9 +73,9 @@ class SensorHistory:
             env_ids: (n,) the environments that stepped, None for all.
         """
         where: Any = ALL if env_ids is None else env_ids
-        recorded: Any = steps
+        readings: Any = steps
         for (start, stop, depth), values in self._parts.items():
-            new = recorded[:, -depth:, start:stop]
+            new = readings[:, -depth:, start:stop]
             missing = depth - new.shape[1]
             if missing:
                 # Before its first step, an environment has that step's readings.

@@ -82,7 +82,7 @@ _LARGEST_CACHED = 4096
 """Size limit in bytes of a call's declaration that is cached for later messages."""
 _KINDS = {"write", "physics", "event", "step", "start"}
 _HAS_VALUES = {"state": True, "model": True, "reset": True, "set_const": False}
-"""Operation of a write to whether it has values."""
+"""Operation of a write -> whether it has values."""
 
 
 class ArrayKind(NamedTuple):
@@ -100,15 +100,17 @@ class ArrayKind(NamedTuple):
 
 
 class CallKind(NamedTuple):
-    """The properties of a call that are the same in every step of a run: see the table above.
+    """What calls have in common that are stored as one entry: a row of the table above, filled in.
 
     Attributes:
-        kind: ``write``, ``physics``, ``event``, ``step`` or ``start``.
-        name: Field of a write, term of an event.
-        mode: Operation of a write, mode of an event.
-        nstep: Physics steps of a physics call.
-        columns: Columns of a write; None is all of them.
-        arrays: Kinds of its arrays.
+        kind: The first column: ``write``, ``physics``, ``event``, ``step`` or ``start``.
+        name: Of a write, the field that it changes, such as ``qpos``; of an event, its term. Empty
+            for other calls.
+        mode: Of a write, what it does: `Write.op`, such as ``state``. Of an event, when it fired:
+            ``startup``, ``reset``, ``interval`` or ``command``. Empty for other calls.
+        nstep: Of a physics call, its physics steps.
+        columns: Of a write, the columns of the field; None is all of them.
+        arrays: Name, dtype and shape of each array of the call.
     """
 
     kind: str
@@ -129,8 +131,8 @@ class Call:
     """A call in every step of a run.
 
     Attributes:
-        kind: Its properties.
-        arrays: Name to (count, ...) values, read-only.
+        kind: What it is; its `CallKind.kind` is the word in the first column of the table.
+        arrays: Name -> (count, ...) values, one for each step of the run, read-only.
     """
 
     kind: CallKind

@@ -100,8 +100,10 @@ class EventDraws(RandomDraws, Protocol):
         """Log what the term made of its tries, (n, *shape), under a name."""
         ...
 
-    def replayed(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> Floats | None:
-        """Return the recorded draw of a term that is replayed, (n, *shape), or None."""
+    def preset_draw(
+        self, what: str, shape: Sequence[int], env_ids: EnvIndex | None
+    ) -> Floats | None:
+        """Return the numbers that the term has to use for a name, (n, *shape); None if it draws."""
         ...
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
-from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
+from embodichain.lab.gym.envs.managers.pipeline import Advancing, Delay, Noise, Past
 from embodichain.lab.gym.envs.managers.terms.term_columns import TermColumns
 from embodichain.lab.gym.envs.managers.terms.term_errors import FAILURES, kind_of_values
 from embodichain.lab.gym.envs.observation import Columns, Observation, as_array, new_tensor
@@ -79,12 +79,12 @@ class ObservationEntry:
         self.scales: NDArray[np.float32] | None = None
         self.is_image = False
 
-    def value(self, obs: Any, rows: Rows) -> NDArray[Any]:
+    def value(self, obs: Any, advancing: Advancing) -> NDArray[Any]:
         """Evaluate the term.
 
         Args:
             obs: The argument of the term: the observation, or the entry to modify.
-            rows: Environments for which noise is drawn, and delay and history advance.
+            advancing: Environments for which noise is drawn, and delay and history advance.
 
         Returns:
             (N, ...); it may share memory with the simulation.
@@ -102,16 +102,16 @@ class ObservationEntry:
         if value.dtype == np.float64:
             value = value.astype(np.float32)
         if self._noise is not None:
-            value = _in_type_of(value, self._noise.apply(value, rows.stepped))
+            value = _in_type_of(value, self._noise.apply(value, advancing.stepped))
         if self._clip is not None:
             value = _in_type_of(value, np.clip(value, self._clip[0], self._clip[1]))
         if self._scale is not None:
             value = value * self._scale
         if self._delay is not None:
-            value = self._delay(value, rows)
+            value = self._delay(value, advancing)
         if self._past is None:
             return value
-        history = self._past.append(value, rows)
+        history = self._past.append(value, advancing)
         if not self._flat:
             return history
         if self.is_image:  # along the channels
@@ -251,7 +251,7 @@ class _VectorPart:
 
 
 _NONE: NDArray[np.int64] = np.zeros(0, np.int64)
-_BETWEEN_STEPS = Rows(_NONE, None)
+_BETWEEN_STEPS = Advancing(_NONE, None)
 
 
 class ObservationManager(Manager[ObservationCfg]):
@@ -374,14 +374,14 @@ class ObservationManager(Manager[ObservationCfg]):
             ValueError: If a term's value is not (N, ...); names the term.
             ConfigError: If a term modifies an entry that does not exist.
         """
-        rows = self._take_rows()
+        advancing = self._take_advancing()
         for entry in self._entries:
             argument: Any = obs
             if entry.modifies:
                 if entry.path not in obs:
                     raise _nothing_to_modify(entry, obs)
                 argument = obs[entry.path]
-            obs[entry.path] = new_tensor(self._value(entry, argument, rows))
+            obs[entry.path] = new_tensor(self._value(entry, argument, advancing))
 
     def write(self, obs: Observation, own: Mapping[tuple[str, ...], Any]) -> None:
         """Write entries into an observation whose layout is known.
@@ -399,7 +399,7 @@ class ObservationManager(Manager[ObservationCfg]):
                 unfinished[path] = value
             else:
                 obs.layout.write(obs, path, value)
-        rows = self._take_rows()
+        advancing = self._take_advancing()
         numbers = obs.rows
         for place in self._places:
             entry = place.entry
@@ -407,7 +407,7 @@ class ObservationManager(Manager[ObservationCfg]):
             if entry.modifies:
                 argument = new_tensor(unfinished[entry.path])
             try:
-                value = entry.value(argument, rows)
+                value = entry.value(argument, advancing)
             except FAILURES as error:
                 self.fail(entry.term.name, error)
             if not place.is_last:
@@ -417,9 +417,9 @@ class ObservationManager(Manager[ObservationCfg]):
             else:
                 obs.layout.write(obs, entry.path, value)
 
-    def _value(self, entry: ObservationEntry, obs: Any, rows: Rows) -> NDArray[Any]:
+    def _value(self, entry: ObservationEntry, obs: Any, advancing: Advancing) -> NDArray[Any]:
         try:
-            return entry.value(obs, rows)
+            return entry.value(obs, advancing)
         except FAILURES as error:
             self.fail(entry.term.name, error)
 
@@ -446,7 +446,7 @@ class ObservationManager(Manager[ObservationCfg]):
                 causes[name] = (kind_of_values(values[bad]), bad)
         return causes
 
-    def _take_rows(self) -> Rows:
+    def _take_advancing(self) -> Advancing:
         """Return the environments that stepped or were reset; the next call returns none."""
         if not self._remembers:
             return _BETWEEN_STEPS
@@ -456,7 +456,7 @@ class ObservationManager(Manager[ObservationCfg]):
         if fresh is not None and (stepped is None or len(stepped)):
             self._fresh = fresh.copy()
             self._fresh[slice(None) if stepped is None else stepped] = False
-        return Rows(stepped, fresh)
+        return Advancing(stepped, fresh)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin the episodes of these environments: draw delays and refill histories."""

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ActionPipeline",
+    "Advancing",
     "Delay",
     "Noise",
     "Past",
-    "Rows",
     "first_given",
 ]
 
@@ -156,7 +156,7 @@ def _sized(
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class Advancing:
     """The environments whose noise, delay and history an observation advances.
 
     Attributes:
@@ -188,14 +188,14 @@ class Past:
         self.values: NDArray[Any] | None = None
 
     def append(
-        self, value: NDArray[Any], rows: Rows, before: NDArray[Any] | None = None
+        self, value: NDArray[Any], advancing: Advancing, before: NDArray[Any] | None = None
     ) -> NDArray[Any]:
         """Append a value where environments stepped.
 
         Args:
             value: (N, ...), not changed.
-            rows: Environments that did not step keep their values; for fresh ones all values but
-                the last are `before`.
+            advancing: Environments that did not step keep their values; for fresh ones all values
+                but the last are `before`.
             before: (N, ...); None is the value itself.
 
         Returns:
@@ -207,17 +207,17 @@ class Past:
             shape = (self._num_envs, self._depth, *value.shape[1:])
             old = self._arrays.full(shape, 0, value.dtype)
         moved = np.concatenate([old[:, 1:], newest], axis=1)
-        stepped = self._arrays.full(self._num_envs, rows.stepped is None, np.bool_)
-        if rows.stepped is not None:
-            stepped[rows.stepped] = True
+        stepped = self._arrays.full(self._num_envs, advancing.stepped is None, np.bool_)
+        if advancing.stepped is not None:
+            stepped[advancing.stepped] = True
             moved = np.where(_column(stepped, moved), moved, old)
-        if rows.fresh is not None:
+        if advancing.fresh is not None:
             filled = newest if before is None else before[:, None]
-            moved = np.where(_column(rows.fresh, moved), filled, moved)
-            moved[:, -1] = np.where(_column(rows.fresh, value), value, moved[:, -1])
+            moved = np.where(_column(advancing.fresh, moved), filled, moved)
+            moved[:, -1] = np.where(_column(advancing.fresh, value), value, moved[:, -1])
         # An observation between two steps changes nothing that is stored.
         self.values = (
-            moved if rows.stepped is None else np.where(_column(stepped, moved), moved, old)
+            moved if advancing.stepped is None else np.where(_column(stepped, moved), moved, old)
         )
         return moved
 
@@ -263,10 +263,10 @@ class Delay:
         self.lag[slice(None) if env_ids is None else env_ids] = steps
 
     def __call__(
-        self, value: NDArray[Any], rows: Rows, before: NDArray[Any] | None = None
+        self, value: NDArray[Any], advancing: Advancing, before: NDArray[Any] | None = None
     ) -> NDArray[Any]:
         """(N, ...) the delayed value; `before` is the value before the first of an episode."""
-        recent = self.past.append(value, rows, before)
+        recent = self.past.append(value, advancing, before)
         return recent[self._rows, self._high - self.lag]
 
 
@@ -322,13 +322,13 @@ class ActionPipeline:
         """(N, A) float32 action that the term receives in this step."""
         values: NDArray[Any] = self._arrays.of(action)
         if self._delay is not None:
-            rows = Rows(stepped=None, fresh=None)
+            advancing = Advancing(stepped=None, fresh=None)
             hold: NDArray[Any] | None = None
             if may_be_set(self._fresh):
-                rows = Rows(stepped=None, fresh=self._fresh)
+                advancing = Advancing(stepped=None, fresh=self._fresh)
                 hold = np.broadcast_to(self.hold(), values.shape)
                 self._fresh = np.zeros_like(self._fresh)
-            values = self._delay(values, rows, hold).astype(np.float32)
+            values = self._delay(values, advancing, hold).astype(np.float32)
         if self._noise is not None:
             values = self._noise.apply(values, None)
         return tensor_of(values)

@@ -52,19 +52,33 @@ class RandomManager(Manager[C]):
         self._stream = ""
         self._strength = 1.0
         self._drawn: dict[str, NDArray[Any]] = {}
-        self._recorded: Mapping[str, NDArray[Any]] = {}
+        self._preset_draws: Mapping[str, NDArray[Any]] = {}
         super().__init__(env, section, kind, cfgs)
 
     @abstractmethod
     def _run(self, term: BuiltTerm[C], mode: str, env_ids: EnvIndex | None) -> None:
         """Call a term by `_call`; subclasses add bookkeeping."""
 
-    def _call(self, term: BuiltTerm[C], mode: str, env_ids: EnvIndex | None, *args: Any) -> None:
-        """Call a term with its own random stream, and log its draws."""
+    def _call(
+        self,
+        term: BuiltTerm[C],
+        mode: str,
+        env_ids: EnvIndex | None,
+        *,
+        arguments: tuple[Any, ...],
+    ) -> None:
+        """Call a term with its own random stream, and log its draws.
+
+        Args:
+            term: The term.
+            mode: The mode in which it is called, for the log.
+            env_ids: (n,) environments, or None for all, for the log and for errors.
+            arguments: What it is called with.
+        """
         self._stream = f"{self.section}.{term.name}"
         self._drawn = {}
         try:
-            term.call(*args)
+            term.call(*arguments)
         except ConfigError as error:
             params_path = f"{self.section}.{term.name}.params"
             problems = [
@@ -101,8 +115,8 @@ class RandomManager(Manager[C]):
             (n, *shape) float64. Do not write into it.
         """
         values: Floats | None = None
-        if self._recorded:
-            values = self.replayed(what, shape, env_ids)
+        if self._preset_draws:
+            values = self.preset_draw(what, shape, env_ids)
         if values is None:
             values = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
             if default is not None and self._strength != 1.0:
@@ -134,22 +148,22 @@ class RandomManager(Manager[C]):
         Returns:
             (n, k) float64. Do not write into it.
         """
-        recorded: list[Floats] = []
+        preset_values: list[Floats] = []
         for name, where in columns.items():
-            draw = self.replayed(name, (where.stop - where.start,), env_ids)
+            draw = self.preset_draw(name, (where.stop - where.start,), env_ids)
             if draw is not None:
-                recorded.append(draw)
+                preset_values.append(draw)
         values: Floats
-        is_recorded = bool(recorded) and len(recorded) == len(columns)
-        if is_recorded:
-            values = np.concatenate(recorded, axis=1)
+        is_preset = bool(preset_values) and len(preset_values) == len(columns)
+        if is_preset:
+            values = np.concatenate(preset_values, axis=1)
         elif normal:
             values = self.env.streams.normal(self._stream, (len(low),), env_ids)
             values = 0.5 * (low + high) + (high - low) / 6.0 * values
             values = np.clip(values, np.minimum(low, high), np.maximum(low, high))
         else:
             values = self.env.streams.uniform(self._stream, (len(low),), low, high, env_ids)
-        if weaken and self._strength != 1.0 and not is_recorded:
+        if weaken and self._strength != 1.0 and not is_preset:
             parts = [
                 weaken[name](values[:, where], self._strength) for name, where in columns.items()
             ]
@@ -177,31 +191,39 @@ class RandomManager(Manager[C]):
         """Log what the term that is being called made of its tries, (n, *shape), under a name."""
         self._drawn[what] = values
 
-    def replayed(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> Floats | None:
-        """Return the recorded draw of a term that is replayed, (n, *shape), or None."""
-        draw = self._recorded.get(what)
+    def preset_draw(
+        self, what: str, shape: Sequence[int], env_ids: EnvIndex | None
+    ) -> Floats | None:
+        """Return the numbers that `call_with_draws` has set for a name, (n, *shape), or None."""
+        draw = self._preset_draws.get(what)
         if draw is None or draw.shape != tuple(shape):
             return None
         n = self.num_envs if env_ids is None else len(env_ids)
         once_per_axis = [1] * len(shape)
         return self.env.arrays.put(np.tile(draw, (n, *once_per_axis)))
 
-    def replay(
+    def call_with_draws(
         self, name: str, mode: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
     ) -> None:
-        """Call a term with recorded draws instead of new ones.
+        """Call a term with draws of one environment instead of new ones, to restore a moment.
+
+        `replay --verify` does not come here: it repeats what terms have written, and calls none.
 
         Args:
             name: The term.
             mode: The mode in which it was called.
             env_ids: (n,) environments, or None for all.
-            drawn: The draws of one environment, by name; missing ones are drawn.
+            drawn: The draws by name; missing ones are drawn.
         """
-        self._recorded = drawn
+        self._preset_draws = drawn
         try:
             self._run(self.terms[name], mode, env_ids)
         finally:
-            self._recorded = {}
+            self._preset_draws = {}
+
+    # Older names.
+    replayed = preset_draw
+    replay = call_with_draws
 
 
 class Timer:
@@ -341,7 +363,7 @@ class EventManager(RandomManager[EventCfg]):
 
     def _run(self, term: BuiltTerm[EventCfg], mode: str, env_ids: EnvIndex | None) -> None:
         self._strength = term.cfg.strength
-        self._call(term, mode, env_ids, self.env, env_ids)
+        self._call(term, mode, env_ids, arguments=(self.env, env_ids))
 
     def state_dict(self) -> dict[str, Any]:
         """Timers, and the state of terms that are classes (copies)."""
@@ -568,7 +590,7 @@ class CommandManager(RandomManager[CommandCfg]):
             total[where] = 0.0
 
     def _run(self, term: BuiltTerm[CommandCfg], mode: str, env_ids: EnvIndex | None) -> None:
-        self._call(term, mode, env_ids, env_ids)
+        self._call(term, mode, env_ids, arguments=(env_ids,))
         timer = self._timers.get(term.name)
         range_s = term.cfg.resampling_time_s
         if timer is not None and range_s is not None:

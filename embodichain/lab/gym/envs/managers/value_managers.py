@@ -1,6 +1,6 @@
 """Managers of terms with one number per environment: rewards, terminations and metrics.
 
-`TermRows` are their values by name; `check_shapes` calls each once when an environment is built.
+`TermRows` are their values by name; `check_values` calls each once when an environment is built.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ __all__ = [
     "TermRows",
     "TerminationManager",
     "check_shapes",
+    "check_values",
 ]
 
 
 class TermRows(Mapping[str, "torch.Tensor"]):
-    """Name -> (N,) tensor, a copy of a row.
+    """Values of terms in N environments: name of a term -> (N,) tensor, a copy of its row.
 
     Args:
         names: Names of the T terms.
@@ -64,7 +65,7 @@ class TermRows(Mapping[str, "torch.Tensor"]):
         except ValueError:
             raise KeyError(name) from None
         tensor = tensor_of(row.copy())
-        if is_host(row):  # a recorded step (`StepGraph`) writes new values into its rows
+        if is_host(row):  # a captured step (`StepGraph`) writes new values into its rows
             self._tensors[name] = tensor
         return tensor
 
@@ -72,12 +73,12 @@ class TermRows(Mapping[str, "torch.Tensor"]):
         """Yield name and values (N,) of each term: do not write to them."""
         return zip(self.names, self.rows, strict=True)
 
-    def zeroed(self, rows: NDArray[np.bool_]) -> TermRows:
+    def zeroed(self, mask: NDArray[np.bool_]) -> TermRows:
         """Return the values with those of some environments, (N,) bool, set to 0."""
         if isinstance(self.rows, (list, tuple)):
-            zeroed_rows = [np.where(rows, row.dtype.type(0), row) for row in self.rows]
+            zeroed_rows = [np.where(mask, row.dtype.type(0), row) for row in self.rows]
             return TermRows(self.names, zeroed_rows)
-        return TermRows(self.names, np.where(rows, np.float32(0.0), self.rows))
+        return TermRows(self.names, np.where(mask, np.float32(0.0), self.rows))
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
@@ -493,7 +494,7 @@ class RewardManager(Manager[RewardCfg]):
             self._sums[row] = state["episode_sums"][name]
 
 
-def check_shapes(env: TermContext, obs: EnvObs) -> None:
+def check_values(env: TermContext, obs: EnvObs) -> None:
     """Call every termination, metric and reward once to check its shape, and undo the changes.
 
     Random streams are restored and terms are reset. Only for environments with the default
@@ -528,3 +529,7 @@ def check_shapes(env: TermContext, obs: EnvObs) -> None:
     env.streams.load_state_dict(streams)
     for manager in managers:
         manager.reset(None)
+
+
+check_shapes = check_values
+"""The older name."""

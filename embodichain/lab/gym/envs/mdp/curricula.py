@@ -12,7 +12,11 @@ from pydantic import Field
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.param_types import Finite
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.managers.terms.check import check_params, check_shape, check_weight
+from embodichain.lab.gym.envs.managers.terms.check import (
+    check_params,
+    check_term_shape,
+    check_weight,
+)
 from embodichain.lab.gym.envs.managers.terms.registry import (
     SECTIONS,
     TermSpec,
@@ -327,7 +331,7 @@ def _split_values(spec: TermSpec, values: Mapping[str, Any]) -> tuple[dict[str, 
 def _check_values(spec: TermSpec, values: Mapping[str, Any]) -> tuple[list[Problem], list[str]]:
     """Every mistake in parameters and shapes, and the shapes' names."""
     params, shape = _split_values(spec, values)
-    shapes, shape_problems = check_shape(shape, ".shape")
+    shapes, shape_problems = check_term_shape(shape, ".shape")
     _, problems = check_params(spec, params, "")
     return problems + shape_problems, [shape_spec.name for shape_spec, _ in shapes]
 

@@ -1,6 +1,6 @@
 """`StepGraph`: the control step of an environment on a GPU as one CUDA graph.
 
-A step launches hundreds of small kernels from Python, which takes longer than they run. Recorded
+A step launches hundreds of small kernels from Python, which takes longer than they run. Captured
 once as a graph, they are launched together. All decisions of the step are made by masks on the
 device, so that the launches are the same in every step.
 
@@ -32,7 +32,7 @@ __all__ = ["StepGraph"]
 
 logger = logging.getLogger(__name__)
 _WARM_UP = 2
-"""Steps before those that are observed and recorded: they load kernels and make constants."""
+"""Steps before those that are observed and captured: they load kernels and make constants."""
 _COUNTERS = {
     "control_step",
     "version",
@@ -57,7 +57,7 @@ class StepGraph:
         env: An environment with arrays on a CUDA device.
 
     Attributes:
-        reason: Why steps are not recorded, or an empty string.
+        reason: Why steps are not captured, or an empty string.
     """
 
     def __init__(self, env: ObservedEnv) -> None:
@@ -85,7 +85,7 @@ class StepGraph:
             run: Takes a step by launching its kernels. It is not called where a graph is replayed.
             action: (N, A) on the device.
             arrays_moved: Whether code outside of steps may have replaced arrays since the last one.
-            forget: Undoes what Python did in `run`, after a recording that failed: the numbers of
+            forget: Undoes what Python did in `run`, after a capture that failed: the numbers of
                 that step were not computed.
 
         Returns:
@@ -103,7 +103,7 @@ class StepGraph:
         if self._graph is None:
             if self._revision is None:
                 return self._observe(run, action)
-            self._record(run, action, forget)
+            self._capture(run, action, forget)
             if self._graph is None:
                 return run(action)
         self._action.copy_(action)
@@ -158,15 +158,15 @@ class StepGraph:
 
     def _give_up(self, reason: str) -> None:
         self.reason = self.reason or reason
-        logger.warning("steps are not recorded as a CUDA graph: %s", reason)
+        logger.warning("steps are not captured as a CUDA graph: %s", reason)
 
-    def _record(
+    def _capture(
         self,
         run: Callable[[torch.Tensor], Step],
         action: torch.Tensor,
         forget: Callable[[], None],
     ) -> None:
-        """Record a step; its launches run when the graph is replayed."""
+        """Capture a step; its launches run when the graph is replayed."""
         places = self._places()[0]
         self._action = action.clone()
         # Each gets memory of its own: two places may hold the same array.
@@ -178,12 +178,12 @@ class StepGraph:
         saved = {path: place.get() for path, place in places.items()}
         collecting = gc.isenabled()
         gc.collect()
-        # What the garbage collector frees would be recorded.
+        # What the garbage collector frees would be captured.
         gc.disable()
         try:
             with (
                 torch.cuda.graph(graph, capture_error_mode="thread_local"),
-                self._engine.recording() as self._memory,
+                self._engine.capturing() as self._memory,
             ):
                 self._result = run(self._action)
                 self._keep()

@@ -79,7 +79,7 @@ def put(
         manager.reset(where)
     sim.reset_objects_state(where)
     for drawn in snapshot.drawn:
-        _replay_draw(managers, drawn, where)
+        _call_with_draws(managers, drawn, where)
     _put_model(sim.engine, snapshot.fields, where)
     sim.engine.write("row", snapshot.row, where)
     for handle in {**sim.robots, **sim.articulations}.values():
@@ -93,14 +93,16 @@ def put(
     episodes.set_last_action(ids, snapshot.last_action)
 
 
-def _replay_draw(managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIds | None) -> None:
+def _call_with_draws(
+    managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIds | None
+) -> None:
     """Call a term with its recorded draws, to set what it stores outside the simulation state."""
     manager: Any = managers[_section_of(drawn)]
     term = manager.terms.get(drawn.term)
     if term is None:
         return
     if drawn.mode == "command" or (term.cfg.mode == drawn.mode and not term.cfg.is_global):
-        manager.replay(drawn.term, drawn.mode, where, drawn.values)
+        manager.call_with_draws(drawn.term, drawn.mode, where, drawn.values)
 
 
 def _put_model(engine: Engine, fields: Mapping[str, NDArray[Any]], where: EnvIds | None) -> None:

@@ -60,7 +60,7 @@ class Episodes:
         self.success: Mask = arrays.full(num_envs, False, np.bool_)
         self.pending: Mask | None = None
         self._on_device = arrays.on_device
-        # On a device it is always there: a recorded step reads it.
+        # On a device it is always there: a captured step reads it.
         self.cut: Mask | None = self.success.copy() if self._on_device else None
         self.last_action: NDArray[np.float64] = arrays.full((num_envs, 0), 0.0)
 

@@ -24,7 +24,7 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import (
     present_step,
     warn_not_finite,
 )
-from embodichain.lab.gym.envs.managers.value_managers import check_shapes
+from embodichain.lab.gym.envs.managers.value_managers import check_values
 from embodichain.lab.gym.envs.step.step_result import StepResult, none_set
 from embodichain.utils.array_types import EnvIds, host_ids
 from embodichain.utils.arrays import all_finite, as_env_ids, is_host, tensor_of
@@ -172,17 +172,17 @@ class JudgingHooks:
     extend_reward: Callable[..., torch.Tensor] | None
 
     @property
-    def make_info(self) -> bool:
+    def any_makes_info(self) -> bool:
         """Whether the class may put entries into ``info`` that terms read."""
         return not self.overridden.isdisjoint(_MAKE_INFO)
 
     @property
-    def share_info(self) -> bool:
+    def any_shares_info(self) -> bool:
         """Whether a hook makes entries of ``info``, or receives it."""
-        return self.make_info or not self.overridden.isdisjoint(_TAKE_INFO)
+        return self.any_makes_info or not self.overridden.isdisjoint(_TAKE_INFO)
 
     @property
-    def take_obs(self) -> bool:
+    def any_takes_obs(self) -> bool:
         """Whether the observation is made before judging, for these hooks.
 
         It is made before judging too where a class has both hooks that observe and hooks that
@@ -190,7 +190,7 @@ class JudgingHooks:
         """
         if not self.overridden.isdisjoint(_TAKE_OBS):
             return True
-        return self.make_info and not self.overridden.isdisjoint(_OBSERVE)
+        return self.any_makes_info and not self.overridden.isdisjoint(_OBSERVE)
 
 
 class StepJudge:
@@ -239,13 +239,13 @@ class StepJudge:
         self._rewards = rewards
         self._curriculum = curriculum
         # Environments whose physics diverged in the last step.
-        self._physics: Mask | None = None
+        self._physics_diverged: Mask | None = None
         self._warning_counts: dict[str, int] = {}
-        self._hooks_take_obs = hooks.take_obs
-        self.hooks_share_info = hooks.share_info
+        self._hooks_take_obs = hooks.any_takes_obs
+        self.hooks_share_info = hooks.any_shares_info
 
     @property
-    def takes_obs(self) -> bool:
+    def obs_is_needed(self) -> bool:
         """Whether a hook or a term takes the observation, which is then made before judging."""
         return (
             self._hooks_take_obs
@@ -255,7 +255,7 @@ class StepJudge:
         )
 
     @property
-    def shares_info(self) -> bool:
+    def info_is_needed(self) -> bool:
         """Whether a hook or a term reads ``info`` within the step: only then it is made there."""
         return (
             self.hooks_share_info
@@ -270,8 +270,8 @@ class StepJudge:
         Raises:
             ValueError: If a term's value is not (N,); names the term.
         """
-        if not self._hooks.make_info:
-            check_shapes(self._env, obs)
+        if not self._hooks.any_makes_info:
+            check_values(self._env, obs)
 
     def judge(self, obs: Any, action: Any, kwargs: dict[str, Any]) -> StepResult:
         """Judge the step: by the class's hooks, then terminations, metrics and rewards.
@@ -281,11 +281,11 @@ class StepJudge:
         latter ends episodes.
 
         Args:
-            obs: The observation, or None if nothing takes it (`takes_obs`).
+            obs: The observation, or None if nothing takes it (`obs_is_needed`).
             action: The action that rewards receive.
             kwargs: Those of `step`.
         """
-        info = self._class_info(kwargs) if self.shares_info else None
+        info = self._class_info(kwargs) if self.info_is_needed else None
         result = self._outcome(obs, action, info)
         self._episodes.success = result.success
         result.reward = self._reward(obs, action, info)
@@ -390,8 +390,8 @@ class StepJudge:
 
     def diverged(self, result: StepResult) -> Mask | None:
         """(N,) environments that diverged in this step, or None; without those pending a reset."""
-        self._physics = self._env.sim.engine.take_diverged()
-        mask = self._physics
+        self._physics_diverged = self._env.sim.engine.take_diverged()
+        mask = self._physics_diverged
         for bad in (bad_rows(result.obs.rows), bad_rows(result.reward)):
             if bad is not None:
                 mask = bad if mask is None else mask | bad
@@ -411,8 +411,8 @@ class StepJudge:
         if not is_host(mask):
             return
         is_physics_finite = finite_physics(env)
-        if self._physics is not None:
-            is_physics_finite = is_physics_finite & ~self._physics
+        if self._physics_diverged is not None:
+            is_physics_finite = is_physics_finite & ~self._physics_diverged
         diverged_physics = mask & ~is_physics_finite
         rest = mask & is_physics_finite
         if diverged_physics.any():
@@ -425,8 +425,8 @@ class StepJudge:
         causes = self._commands.not_finite(rest)
         causes |= self._observations.not_finite(result.obs, rest)
         causes |= self._rewards.not_finite(rest)
-        for _, rows in causes.values():
-            rest = rest & ~rows
+        for _, explained in causes.values():
+            rest = rest & ~explained
         if rest.any():
             causes["the sum of the rewards"] = (kind_of_values(result.reward[rest]), rest)
         what = "their physics is finite; they end and are reset"
@@ -464,9 +464,7 @@ class StateDump:
         """Copy all rows before physics steps."""
         np.copyto(self._before, self._engine.rows)
 
-    def write(
-        self, folder: Path | None, rows: NDArray[np.bool_], control_step: int, action: Floats
-    ) -> None:
+    def write(self, folder: Path | None, mask: Mask, control_step: int, action: Floats) -> None:
         """Write the first `MAX_DUMPS` environments that diverged to files.
 
         A file ``diverged/step_S_env_I.npz`` contains the integration state ``before`` and ``after``
@@ -475,11 +473,11 @@ class StateDump:
 
         Args:
             folder: The run's folder; None writes nothing.
-            rows: (N,) bool, environments that diverged.
+            mask: (N,) bool, environments that diverged.
             control_step: Number of the step, from 0, as in a log of this run.
             action: (N, A).
         """
-        ids = np.flatnonzero(rows)
+        ids = np.flatnonzero(mask)
         if folder is None or self._written >= MAX_DUMPS:
             return
         fields = self._engine.state_dict()["model"]

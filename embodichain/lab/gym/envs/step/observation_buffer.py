@@ -182,9 +182,16 @@ class ObservationBuffer:
         self.last = obs.rows.copy()
         return obs
 
-    def without(self, obs: Observation, rows: Mask) -> Observation:
-        """Return an observation with some rows (N,) replaced by those stored last."""
-        return obs.with_rows(np.where(rows[:, None], self.last, obs.rows))
+    def without(self, obs: Observation, mask: Mask) -> Observation:
+        """Return an observation with some rows replaced by those stored last.
+
+        Images and integers are not in the rows: they stay as just observed.
+
+        Args:
+            obs: The observation.
+            mask: (N,) environments whose rows are replaced.
+        """
+        return obs.with_rows(np.where(mask[:, None], self.last, obs.rows))
 
     def store_first(self, obs: Observation, unchanged: Mask) -> Observation:
         """Store the observation after a reset.

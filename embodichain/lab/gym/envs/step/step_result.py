@@ -93,25 +93,25 @@ class StepResult:
         done = terminated | truncated
         self.done = None if none_set(done) else done
 
-    def exclude(self, rows: Mask) -> None:
+    def exclude(self, mask: Mask) -> None:
         """Set what was judged of environments, (N,) bool, to 0; their reward, too."""
-        counted = ~rows
+        counted = ~mask
         self.success_terminated = self.success_terminated & counted
         self.fail = self.fail & counted
         self.success = self.success & counted
-        self.metrics = {name: _zeroed(values, rows) for name, values in self.metrics.items()}
-        self.reward = _zeroed(self.reward, rows)
-        self.rewards = self.rewards.zeroed(rows)
-        self.episode_sums = self.episode_sums.zeroed(rows)
+        self.metrics = {name: _zeroed(values, mask) for name, values in self.metrics.items()}
+        self.reward = _zeroed(self.reward, mask)
+        self.rewards = self.rewards.zeroed(mask)
+        self.episode_sums = self.episode_sums.zeroed(mask)
         if self.class_info is not None:
-            self.class_info = zeroed(self.class_info, rows)
+            self.class_info = zeroed(self.class_info, mask)
 
-    def exclude_step(self, rows: Mask) -> None:
+    def exclude_step(self, mask: Mask) -> None:
         """Set all results of environments, (N,) bool, to 0: the step does not count for them."""
-        self.exclude(rows)
-        self.set_ends(self.terminated & ~rows, self.truncated & ~rows)
-        self.diverged = self.diverged & ~rows
-        self.elapsed_steps = _zeroed(self.elapsed_steps, rows)
+        self.exclude(mask)
+        self.set_ends(self.terminated & ~mask, self.truncated & ~mask)
+        self.diverged = self.diverged & ~mask
+        self.elapsed_steps = _zeroed(self.elapsed_steps, mask)
 
     def entries(self) -> dict[str, Any]:
         """The entries of ``info`` as arrays (N,), or maps of arrays by name: do not write to them.
@@ -174,24 +174,24 @@ def none_set(mask: Mask) -> bool:
     return b"\1" not in mask.tobytes()
 
 
-def _zeroed(values: NDArray[Any], rows: Mask) -> NDArray[Any]:
-    return np.where(rows, values.dtype.type(0), values)
+def _zeroed(values: NDArray[Any], mask: Mask) -> NDArray[Any]:
+    return np.where(mask, values.dtype.type(0), values)
 
 
-def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
+def zeroed(info: Mapping[str, Any], mask: Mask) -> dict[str, Any]:
     """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
 
     Args:
         info: Not changed, nor are its tensors.
-        rows: (N,) bool.
+        mask: (N,) bool, the rows that are zeroed.
     """
     copy = dict(info)
-    mask = tensor_of(rows)
+    tensor_mask = tensor_of(mask)
     for key, value in info.items():
         if isinstance(value, TermRows):
-            copy[key] = value.zeroed(rows)
+            copy[key] = value.zeroed(mask)
         elif isinstance(value, Mapping):
-            copy[key] = zeroed(value, rows)
-        elif isinstance(value, torch.Tensor) and value.shape[:1] == mask.shape:
-            copy[key] = value.masked_fill(mask.reshape(-1, *[1] * (value.ndim - 1)), 0)
+            copy[key] = zeroed(value, mask)
+        elif isinstance(value, torch.Tensor) and value.shape[:1] == tensor_mask.shape:
+            copy[key] = value.masked_fill(tensor_mask.reshape(-1, *[1] * (value.ndim - 1)), 0)
     return copy

@@ -41,7 +41,7 @@ __all__ = [
     "VISUAL_GROUP",
     "ConvexParts",
     "add_shape",
-    "check_shape",
+    "check_geometry",
     "collides",
     "inertia_about_axes",
     "keep_hull_inertia",
@@ -67,7 +67,7 @@ _GEOM = mujoco.mjtGeom
 _INERTIA = mujoco.mjtMeshInertia
 
 
-def check_shape(shape: AnyShapeCfg, scale: F64, parts: ConvexParts = 1) -> list[Problem]:
+def check_geometry(shape: AnyShapeCfg, scale: F64, parts: ConvexParts = 1) -> list[Problem]:
     """Return every mistake in a shape; paths begin with ``shape`` or ``body_scale``.
 
     Args:
@@ -117,7 +117,7 @@ def add_shape(
         shape: The shape, checked.
         scale: (3,) factors.
         number: Selects a colour if there is none.
-        parts: See `check_shape`.
+        parts: See `check_geometry`.
     """
     geom = body.add_geom(name=f"{uid}/geom")
     if isinstance(shape, MeshCfg):

@@ -29,7 +29,7 @@ from embodichain.lab.sim.compiler.geoms.shape_geoms import (
     HULL_VERTICES,
     VISUAL_GROUP,
     add_shape,
-    check_shape,
+    check_geometry,
     keep_hull_inertia,
     set_collision,
 )
@@ -282,7 +282,7 @@ def check_attachments(
         mistakes = _check_carrier(spec, cfg)
         if isinstance(cfg.shape, PlaneCfg):
             mistakes.append(Problem("shape", "a Plane cannot move"))
-        mistakes += check_shape(cfg.shape, _UNSCALED)
+        mistakes += check_geometry(cfg.shape, _UNSCALED)
         mistakes += check_pose(cfg)
         has_friction = cfg.contact is not None and cfg.contact.friction is not None
         if has_friction and is_given(cfg.dynamic_friction):

@@ -15,7 +15,7 @@ from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
 from embodichain.lab.sim.compiler.geoms.shape_geoms import (
     ConvexParts,
     add_shape,
-    check_shape,
+    check_geometry,
     inertia_about_axes,
     keep_hull_inertia,
     set_collision,
@@ -131,7 +131,7 @@ def _check_shape(cfg: RigidObjectCfg) -> list[Problem]:
         name = "max_convex_hull_num" if cfg.max_convex_hull_num > 1 else "collision"
         message = f"only a Mesh is split into convex parts, this is a {cfg.shape.shape_type}"
         problems.append(Problem(name, message))
-    problems += check_shape(cfg.shape, scale, parts)
+    problems += check_geometry(cfg.shape, scale, parts)
     look = cfg.shape.visual_material
     if look is not None and look.textures is not None:
         problems += check_textures(look.textures, "shape.visual_material.textures")

@@ -457,7 +457,7 @@ class CpuEngine(HostEngine):
             for listener in listeners:
                 listener.on_physics(event)
         if self._history:
-            failed = self._step_recorded(nstep, env_ids)
+            failed = self._step_keeping_sensors(nstep, env_ids)
         else:
             failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
         self._mark(env_ids)
@@ -467,8 +467,8 @@ class CpuEngine(HostEngine):
             for listener in listeners:
                 listener.on_physics(event)
 
-    def _step_recorded(self, nstep: int, env_ids: EnvIndex | None) -> EnvIds | None:
-        """Step as `Batch.step` does, to the bit, and record the sensors of each physics step."""
+    def _step_keeping_sensors(self, nstep: int, env_ids: EnvIndex | None) -> EnvIds | None:
+        """Step as `Batch.step` does, to the bit, and keep the sensors of each physics step."""
         ids = np.arange(self.num_envs) if env_ids is None else env_ids
         steps = np.zeros((len(ids), nstep, self.model.nsensordata))
         before = self._views["time"][ids, 0]
@@ -480,7 +480,7 @@ class CpuEngine(HostEngine):
         return failed
 
     def _roll_out(self, steps: F64, env_ids: EnvIndex | None) -> EnvIds | None:
-        """Step and record into ``steps`` (n, nstep, nsensordata); return where MuJoCo raised."""
+        """Step, with sensors into ``steps`` (n, nstep, nsensordata); return where MuJoCo raised."""
         return self._call(
             self._batch.rollout,
             steps.shape[1],
@@ -493,7 +493,7 @@ class CpuEngine(HostEngine):
         """Take the steps that a rollout has left out: it stops where a warning is counted.
 
         Args:
-            steps: (n, nstep, nsensordata) what was recorded; completed.
+            steps: (n, nstep, nsensordata) the sensors of each step; completed.
             ids: (n,) the environments.
             before: (n,) their time before the steps, s.
             failed: Environments in which MuJoCo raised, which stay where they are.

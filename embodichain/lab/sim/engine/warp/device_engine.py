@@ -128,7 +128,7 @@ class DeviceEngine(WarpEngine):
             for name, columns in self._layout.items()
         }
         # Fields that `forward` has to compute when they are read, and for which environments: a
-        # mask of each, at one address, so that a recorded step can read that of the step before.
+        # mask of each, at one address, so that a captured step can read that of the step before.
         self._late: set[str] = set()
         self._late_masks: dict[str, DeviceArray] = {}
         self._outputs: dict[str, _DeviceOutput] = {}
@@ -152,7 +152,7 @@ class DeviceEngine(WarpEngine):
 
     @property
     def revision(self) -> int:
-        """Increases when more fields are computed or differ: recorded steps are out of date."""
+        """Increases when more fields are computed or differ: captured steps are out of date."""
         return self._views_made + self.fields.revision
 
     # -- reads -------------------------------------------------------------------------------------
@@ -219,8 +219,8 @@ class DeviceEngine(WarpEngine):
         return wp.ScopedStream(torch_stream(self.device), sync_enter=False)
 
     @contextmanager
-    def recording(self) -> Iterator[Any]:
-        """Record launches into a graph that torch has begun; nothing computed before is reused.
+    def capturing(self) -> Iterator[Any]:
+        """Capture launches in a graph that torch has begun; nothing computed before is reused.
 
         Yields:
             An object that owns memory of the graph, to be kept as long as the graph.
@@ -338,9 +338,9 @@ class DeviceEngine(WarpEngine):
             self.worlds.step(nstep)
             return
         sensors = self.worlds.view("sensordata")
-        recorded: list[DeviceArray] = []
-        self.worlds.step(nstep, lambda: recorded.append(DeviceArray(sensors.clone())))
-        self._history.append(np.stack(recorded, axis=1), None)
+        readings: list[DeviceArray] = []
+        self.worlds.step(nstep, lambda: readings.append(DeviceArray(sensors.clone())))
+        self._history.append(np.stack(readings, axis=1), None)
 
     @property
     def _timestep(self) -> Any:

@@ -183,21 +183,21 @@ class WarpEngine(HostEngine):
         for listener in self.listeners:
             listener.on_physics(PhysicsEvent("before", nstep, env_ids, self._rows))
         self._upload()
-        recorded: list[F64] = []
+        readings: list[F64] = []
         if self._history:
             shape = (self.num_envs, self.model.nsensordata)
 
-            def record() -> None:
+            def keep_reading() -> None:
                 sensordata = np.zeros(shape)
                 self.worlds.read("sensordata", sensordata)
-                recorded.append(sensordata)
+                readings.append(sensordata)
 
-            self.worlds.step(nstep, record)
+            self.worlds.step(nstep, keep_reading)
         else:
             self.worlds.step(nstep)
         # All of them stepped: those of others are not read back.
-        if recorded:
-            steps = np.stack(recorded, axis=1)
+        if readings:
+            steps = np.stack(readings, axis=1)
             self._history.append(steps if env_ids is None else steps[env_ids], env_ids)
         self._read_rows(nstep, ALL if env_ids is None else env_ids)
         self._check_memory(env_ids)

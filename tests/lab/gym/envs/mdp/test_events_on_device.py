@@ -110,7 +110,7 @@ def assert_same_draws(first: dict[str, Any], second: dict[str, Any]) -> None:
 
 def fire(env: BaseEnv, name: str) -> None:
     mode = EXAMPLES["event"][name]["mode"]
-    env.event_manager.replay(name, mode, env.arrays.environments(CHOSEN, N), {})
+    env.event_manager.call_with_draws(name, mode, env.arrays.environments(CHOSEN, N), {})
 
 
 @pytest.mark.parametrize("name", sorted(EVENTS))

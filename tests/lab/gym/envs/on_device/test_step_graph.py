@@ -1,6 +1,6 @@
 """Steps as CUDA graphs: against steps that are launched one by one.
 
-Without a GPU the recording is tried on the CPU, where it runs at once, and nothing is replayed.
+Without a GPU the capture is tried on the CPU, where it runs at once, and nothing is replayed.
 """
 
 import contextlib
@@ -32,21 +32,21 @@ TASKS = ["cart_pole", "quadruped_velocity"]
 
 
 class NothingToReplay:
-    """Stands for `torch.cuda.CUDAGraph`: the launches that it should record ran at once."""
+    """Stands for `torch.cuda.CUDAGraph`: the launches that it should capture ran at once."""
 
     def replay(self):
         pass
 
 
 @pytest.fixture(autouse=DEVICE == "cpu")
-def recorded_at_once(monkeypatch):
+def captured_at_once(monkeypatch):
     nothing = lambda *args, **kwargs: contextlib.nullcontext()  # noqa: E731
     monkeypatch.setattr(torch.cuda, "CUDAGraph", NothingToReplay)
     monkeypatch.setattr(torch.cuda, "graph", nothing)
     monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)
 
 
-def recorded(graph):
+def captured(graph):
     """The CUDA graph; None while kernels are launched one by one, with the same results."""
     return graph._graph
 
@@ -58,12 +58,12 @@ def made(task, *lines):
     try:
         for env in both:
             env.reset()
-            # An environment records its steps on CUDA alone; here one of two does, on any device.
+            # An environment captures its steps on CUDA alone; here one of two does, on any device.
             env._graph = None
         graph = both[0]._graph = StepGraph(both[0])
         if DEVICE == "cpu":
             engine = graph._engine
-            vars(engine)["recording"] = lambda: contextlib.nullcontext(engine._mark(None))
+            vars(engine)["capturing"] = lambda: contextlib.nullcontext(engine._mark(None))
         yield *both, graph
     finally:
         for env in both:
@@ -82,11 +82,11 @@ def same(a, b):
 
 
 STEPS = 4 if DEVICE == "cpu" else 30
-"""The fourth is recorded."""
+"""The fourth is captured."""
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_recorded_steps_are_as_others(task):
+def test_captured_steps_are_as_others(task):
     with made(task) as (one, other, graph):
         for action in actions(one, STEPS):
             (obs, *numbers, info), (obs2, *numbers2, info2) = one.step(action), other.step(action)
@@ -100,7 +100,7 @@ def test_recorded_steps_are_as_others(task):
                     same(values, info2[group][name])
             for name, values in one.termination_manager.values.items():
                 same(values.float(), other.termination_manager.values[name].float())
-        assert graph.reason == "" and recorded(graph) is not None
+        assert graph.reason == "" and captured(graph) is not None
         assert one.control_step == other.control_step == STEPS
         same(one.elapsed_steps, other.elapsed_steps)
 
@@ -116,7 +116,7 @@ PICTURES = (
 )
 
 
-def test_pictures_are_drawn_in_recorded_steps():
+def test_pictures_are_drawn_in_captured_steps():
     """A camera with a rate keeps its picture, one with a delay its last; a learner keeps all."""
     pictures = (("eye",), ("depth",), ("sensor", "slow", "color"))
     earlier = []
@@ -126,13 +126,13 @@ def test_pictures_are_drawn_in_recorded_steps():
             for path in pictures:
                 same(obs[path].float(), obs2[path].float())
             earlier.append((obs, {path: obs[path].clone() for path in pictures}))
-        assert graph.reason == "" and recorded(graph) is not None
+        assert graph.reason == "" and captured(graph) is not None
         for obs, images in earlier:
             for path, image in images.items():
                 assert torch.equal(obs[path], image)
         addresses = {obs["depth"].data_ptr() for obs, _ in earlier}
         assert len(addresses) == STEPS
-        # What a recorded step keeps is seen only if it is missing: as memory that is used again.
+        # What a captured step keeps is seen only if it is missing: as memory that is used again.
         assert any("_readings" in path for path in graph._kept)
         assert obs["depth"].shape == (N, 1, 16, 24) and (obs["depth"] > 0).any()
         assert len({image.tobytes() for image in obs["depth"].cpu().numpy()}) == N
@@ -142,7 +142,7 @@ def test_what_is_kept_stays_at_its_address():
     with made("cart_pole") as (one, _, graph):
         for action in actions(one, 4):
             one.step(action)
-        # Of the arrays that a recorded step writes to, by their paths from the environment.
+        # Of the arrays that a captured step writes to, by their paths from the environment.
         assert any(path[-1] == "_sums" for path in graph._kept)
         kept = dict(graph._kept)
         one.reset()
@@ -165,7 +165,7 @@ def _tensor(value):
 
 
 class Inside:
-    """Stands for `torch.cuda.graph`: knows whether a step is being recorded."""
+    """Stands for `torch.cuda.graph`: knows whether a step is being captured."""
 
     on = False
 
@@ -176,7 +176,7 @@ class Inside:
         Inside.on = False
 
 
-def test_a_log_is_gathered_in_the_recorded_step_and_copied_after_it(tmp_path, monkeypatch):
+def test_a_log_is_gathered_in_the_captured_step_and_copied_after_it(tmp_path, monkeypatch):
     packed, sent = [], []
     for cls, name, into in ((ArrayPacker, "pack", packed), (HostBuffers, "send", sent)):
         before = getattr(cls, name)
@@ -193,7 +193,7 @@ def test_a_log_is_gathered_in_the_recorded_step_and_copied_after_it(tmp_path, mo
         for action in actions(one, STEPS):
             one.step(action)
             other.step(action)
-        assert graph.reason == "" and recorded(graph) is not None
+        assert graph.reason == "" and captured(graph) is not None
         assert len(sent) == 2 * STEPS and not any(sent)
         if DEVICE == "cpu":  # the fourth step of the first environment
             assert packed == [False] * 6 + [True, False]
@@ -202,20 +202,20 @@ def test_a_log_is_gathered_in_the_recorded_step_and_copied_after_it(tmp_path, mo
     assert recording.verify(tmp_path / "one.mcap").ok
 
 
-def test_other_weights_are_recorded_anew():
+def test_other_weights_are_captured_anew():
     with made("cart_pole") as (one, _, graph):
         steps = actions(one, 7)
         for action in steps[:4]:
             one.step(action)
-        first = recorded(graph)
+        first = captured(graph)
         name = next(iter(one.reward_manager.weights))
         one.reward_manager.set_weight(name, 3.0)
         for action in steps[4:6]:  # one to check the terms again, one that is observed
             one.step(action)
-            assert recorded(graph) is None
+            assert captured(graph) is None
         one.step(steps[6])
         assert graph.reason == ""
-        assert recorded(graph) not in (None, first)
+        assert captured(graph) not in (None, first)
 
 
 def test_what_code_outside_of_steps_writes_counts():
@@ -224,13 +224,13 @@ def test_what_code_outside_of_steps_writes_counts():
         steps = actions(one, 8)
         for action in steps[:4]:
             one.step(action)
-        first = recorded(graph)
+        first = captured(graph)
         one.robot.set_qpos(np.zeros((N, 6), np.float32), target=False)
         one.step(steps[4])
-        assert recorded(graph) is first
+        assert captured(graph) is first
         one.robot.set_joint_drive(max_velocity=np.full((N, 6), 0.5))
         one.step(steps[5])
-        assert recorded(graph) is None
+        assert captured(graph) is None
 
 
 class Counting(Term):
@@ -259,15 +259,15 @@ class Growing(Term):
     ("term", "reason"),
     [(Counting, r"changes .*calls, which is on the host"), (Growing, r"changes .*values from")],
 )
-def test_what_cannot_be_recorded_is_launched(term, reason, caplog):
-    """A number of the host, or an array of another shape, would be that of the recorded step."""
+def test_what_cannot_be_captured_is_launched(term, reason, caplog):
+    """A number of the host, or an array of another shape, would be that of the captured step."""
     line = f"+task.rewards.own={{func: '{__name__}:{term.__name__}', weight: 1.0}}"
     with made("cart_pole", line) as (one, other, graph):
         caplog.set_level(logging.WARNING)
         for action in actions(one, 6):
             same(one.step(action)[1], other.step(action)[1])
-        assert recorded(graph) is None and one.control_step == 6
-        assert caplog.text.count("steps are not recorded as a CUDA graph") == 1
+        assert captured(graph) is None and one.control_step == 6
+        assert caplog.text.count("steps are not captured as a CUDA graph") == 1
         assert re.search(reason, graph.reason)
 
 
@@ -299,14 +299,14 @@ def looks(env, obs, action, info):
     return obs["robot"]["qpos"][:, 0]
 
 
-def test_steps_that_observe_before_judging_are_recorded():
+def test_steps_that_observe_before_judging_are_captured():
     """After pushes and new commands they observe once more, with the same noise."""
     mine = "+task.metrics.mine={func: 'tests.lab.gym.envs.on_device.test_step_graph:looks'}"
     with made("quadruped_velocity", mine) as (one, other, graph):
         # Both make a step observe once more: without them the test would try nothing.
-        assert one._judge.takes_obs and one.command_manager.acts_in_steps
+        assert one._judge.obs_is_needed and one.command_manager.acts_in_steps
         for action in actions(one, STEPS):
             (obs, *_, info), (obs2, *_, info2) = one.step(action), other.step(action)
             same(torch.as_tensor(obs.rows.tensor), torch.as_tensor(obs2.rows.tensor))
             same(info["metrics"]["mine"], info2["metrics"]["mine"])
-        assert graph.reason == "" and recorded(graph) is not None
+        assert graph.reason == "" and captured(graph) is not None

@@ -276,7 +276,7 @@ def test_only_terms_that_take_the_observation_are_given_one(make, inner) -> None
     joined = {"terms": {"a": MetricCfg("height", CUBE), "b": term}}
     env = make(observations={"v": SPEED}, metrics={"m": MetricCfg("all_of", joined)})
     # Whether a step observes once more is a matter of time only: no result tells it.
-    assert env._judge.takes_obs == callable(inner)
+    assert env._judge.obs_is_needed == callable(inner)
 
 
 # -- the count of steps ----------------------------------------------------------------------------

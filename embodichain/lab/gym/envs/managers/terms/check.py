@@ -50,8 +50,8 @@ __all__ = [
     "CheckedTerm",
     "check_in_task",
     "check_params",
-    "check_shape",
     "check_term",
+    "check_term_shape",
     "check_terms",
     "check_weight",
 ]
@@ -170,7 +170,7 @@ def check_term(
     problems: list[Problem] = []
     if isinstance(term, ActionTermCfg | ObservationCfg) and term.noise is not None:
         problems += [problem.below(f"{path}.noise") for problem in term.noise.check()]
-    shapes, mistakes = check_shape(getattr(term, "shape", None), f"{path}.shape")
+    shapes, mistakes = check_term_shape(getattr(term, "shape", None), f"{path}.shape")
     problems += mistakes
     try:
         spec = resolve_term(kind, term.func, allow_import=allow_import)
@@ -193,7 +193,7 @@ def check_term(
     return CheckedTerm(spec=spec, values=values, names=names, shapes=shapes), []
 
 
-def check_shape(
+def check_term_shape(
     shape: Any, path: str
 ) -> tuple[tuple[tuple[TermSpec, dict[str, Any]], ...], list[Problem]]:
     """Check the `shape` of a term.
@@ -210,19 +210,19 @@ def check_shape(
     if shape is None:
         return (), []
     if not isinstance(shape, (list, tuple)):
-        step, problems = _check_shape_step(shape, path)
+        step, problems = _check_one_shape(shape, path)
         return (() if step is None else (step,)), problems
     steps: list[tuple[TermSpec, dict[str, Any]]] = []
     problems = []
     for i, value in enumerate(shape):
-        step, mistakes = _check_shape_step(value, f"{path}.{i}")
+        step, mistakes = _check_one_shape(value, f"{path}.{i}")
         problems += mistakes
         if step is not None:
             steps.append(step)
     return tuple(steps), problems
 
 
-def _check_shape_step(
+def _check_one_shape(
     step: Any, path: str
 ) -> tuple[tuple[TermSpec, dict[str, Any]] | None, list[Problem]]:
     """Check one shape; return it with its parameters (None if it is unknown), and every mistake."""

@@ -185,7 +185,7 @@ class ArrangeObjects(Term):
         manager = env.event_manager
         places: dict[str, Floats] = {}
         for item in self._items:
-            place = manager.replayed(item.uid, (4,), env_ids)
+            place = manager.preset_draw(item.uid, (4,), env_ids)
             if place is not None:
                 places[item.uid] = place
         if len(places) < len(self._items):

@@ -20,7 +20,7 @@ from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
 from embodichain.lab.sim.compiler.geoms.shape_geoms import (
     COLLISION_GROUP,
     add_shape,
-    check_shape,
+    check_geometry,
     collides,
 )
 from embodichain.lab.sim.compiler.names import match
@@ -68,7 +68,7 @@ def _check(cfg: CollisionShapeCfg) -> list[Problem]:
         message = f"a {cfg.shape.shape_type} cannot replace a link's shapes"
         allowed = "allowed: Capsule, Cube, Cylinder, Sphere"
         return [Problem("shape.shape_type", f"{message}; {allowed}")]
-    return [*check_shape(cfg.shape, _UNSCALED), *check_pose(cfg)]
+    return [*check_geometry(cfg.shape, _UNSCALED), *check_pose(cfg)]
 
 
 def replace_shapes(
