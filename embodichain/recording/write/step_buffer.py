@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
+from embodichain.recording.format.container.mcap_writer import nbytes
 from embodichain.recording.format.messages.block import Recorded
 from embodichain.recording.format.messages.episodes import Ends
 
@@ -64,7 +65,7 @@ class StepBuffer:
         number = open_step.number
         finished = RecordedStep(number, [*open_step.calls, call], ends)
         if len(self._steps) == 1:
-            size = sum(memoryview(array).nbytes for _, arrays in finished.calls for array in arrays)
+            size = sum(nbytes(array) for _, arrays in finished.calls for array in arrays)
             self._capacity = min(MOST_STEPS, 1 + MOST_BYTES // size)
             self._begun = time.monotonic()
         self._steps[-1:] = [finished, RecordedStep(number + 1)]

@@ -224,9 +224,7 @@ def pack_steps(first: int, steps: Sequence[Sequence[Recorded]]) -> list[Any]:
         The message, as bytes and arrays that follow one another.
     """
     message = message_class("Steps")(first=first, count=len(steps))
-    contents: list[
-        tuple[str, tuple[NDArray[Any] | bytes, ...]]
-    ] = []  # dtype and pieces of each array
+    contents: list[tuple[str, list[NDArray[Any] | bytes]]] = []  # dtype and pieces of each array
     declared_arrays: list[Any] = []
     for entry in _entries(steps):
         kind = entry.kind
@@ -241,8 +239,8 @@ def pack_steps(first: int, steps: Sequence[Sequence[Recorded]]) -> list[Any]:
             call.columns.extend(kind.columns)
         if len(entry.steps) < len(steps):
             call.steps.extend(entry.steps)
-        for array, pieces in zip(kind.arrays, zip(*entry.arrays, strict=True), strict=True):
-            contents.append((array.dtype, pieces))
+        for index, array in enumerate(kind.arrays):
+            contents.append((array.dtype, [arrays[index] for arrays in entry.arrays]))
             declared_arrays.append(
                 call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape)
             )
