@@ -215,6 +215,8 @@ class Scalars:
             group: Mapping[str, Any] = info.get(key, {})
             if len(group) != len(names):
                 raise KeyError(names)
+            if not names:
+                continue
             if isinstance(group, TermRows) and list(group.names) == names:
                 blocks.append(group.rows)
             else:
