@@ -615,7 +615,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         # Some of the N environments, in three forms:
         # - masks (N,): `pending` (reset after this step, as NEXT_STEP does), `over` and `cut` (the
         #   episode is truncated), and those of `result`;
-        # - sorted indices (n,), or None for all: `stepped` (all but the pending ones) and `going_on`
+        # - sorted indices (n,), or None for all: `stepped` (all but the pending ones), `going_on`
         #   (neither pending nor at the end of their episode); with arrays on a device, masks;
         # - a list of such indices, one for each event or command that changed something: `changed`.
         episodes = self.episodes
