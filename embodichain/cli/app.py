@@ -167,10 +167,13 @@ def main(argv: list[str] | None = None) -> int:
             return shell_complete(_cli, {}, "embodichain", _COMPLETE, os.environ[_COMPLETE])
         try:
             return call(arguments)
-        except SystemExit as stop:  # raised by Hydra
+        except SystemExit as stop:  # raised by Hydra, or by code of a task
+            if stop.code is None:
+                return process.OK
             if isinstance(stop.code, int):
                 return stop.code
-            return process.OK
+            sys.stderr.write(f"{stop.code}\n")  # as Python does at its end
+            return process.FAILED
         except BrokenPipeError:  # the pipe's reader closed it; redirection as in Python's manual
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return process.FAILED

@@ -89,8 +89,8 @@ class Resolved:
         notes: What was left out or changed in converting a gym config, given keys that change
             nothing, and derived values that change the physics.
         source: Function from a key path to where the key was set, or an empty string.
-        declared: The scene of the task as the check has read it, for `compile_scene_of`, which
-            reads the files anew without it. It is not a part of the config.
+        declared: The scene of the task as the check has read it, for `compile_scene_of`; None:
+            that reads the files again. It is not a part of the config.
         token: The viewer's, which `tree` does not have; ``auto`` and ``none`` as in the config.
     """
 

@@ -1,6 +1,8 @@
 import dataclasses
 import re
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -124,3 +126,21 @@ def test_options_of_every_verb_have_a_field_for_each_typed_value(verb: str) -> N
     values = {parameter.name for parameter in command.params if parameter.expose_value}
     assert {field.name for field in dataclasses.fields(options)} == values
     assert "Attributes:" in str(options.__doc__)
+
+
+def leave(obs: Any, env: Any, code: Any = None) -> None:
+    """A policy that ends the program, as code of a user may."""
+    sys.exit(code)
+
+
+@pytest.mark.parametrize(
+    ("code", "expected", "text"),
+    [("null", 0, ""), ("3", 3, ""), ("'no arm is connected'", 1, "no arm is connected\n")],
+)
+def test_a_program_that_ends_itself_says_why(
+    code: str, expected: int, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy = f"policy={{func: 'tests.cli.test_app:leave', params: {{code: {code}}}}}"
+    words = ["task=cart_pole", policy, "num_envs=1", "record=none", "scene_png=false", "--quiet"]
+    assert main(["run", *words, f"output_dir={tmp_path}"]) == expected
+    assert capsys.readouterr().err == text

@@ -77,7 +77,7 @@ class Composed:
     """One composed config, not yet checked.
 
     Attributes:
-        config_name: The root config, ``run`` or ``train``.
+        config_name: The root config: ``run``, ``train`` or ``collect``.
         overrides: As typed.
         tree: Plain dicts and lists, interpolations resolved, without Hydra's own node; text of the
             environment is an `EnvText`. Partial if there are problems.
@@ -118,7 +118,7 @@ def compose(
 
     Args:
         overrides: E.g. ``["task=reach", "num_envs=64", "~task.events.push"]``.
-        config_name: ``run`` or ``train``.
+        config_name: ``run``, ``train`` or ``collect``.
         config_dir: A folder with the user's groups, searched first.
 
     Raises:

@@ -64,7 +64,7 @@ class VerifyReport:
         envs: Number of environments simulated.
         difference: The first difference, or None.
         problems: Other reasons why `ok` is False, one line each.
-        largest_error: Approximate mode: component to largest absolute difference after one step.
+        largest_error: Approximate mode: component -> largest absolute difference after one step.
         measured: Approximate mode: number of results of physics compared.
         outside: Number of these that differ by more than `TOLERANCE`.
         engine: What computed the recorded physics.

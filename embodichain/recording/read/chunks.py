@@ -102,7 +102,7 @@ class LogReader:
         chunks: Places of the chunks, in the order of the files.
         channels: Channel id to channel, from the index and the chunks read so far.
         schemas: Schema id to schema, likewise.
-        metadata: Name to content of the metadata records; `METADATA` is that of the first file,
+        metadata: Name -> content of the metadata records; `METADATA` is that of the first file,
             all others those of the last file.
         header: The metadata of the recording; None if there is none.
         finished: Whether the recorder closed the log.

@@ -27,7 +27,7 @@ __all__ = ["TOLERANCE", "Active", "Difference", "DifferenceFound", "Simulation",
 TOLERANCE = {"qpos": 1e-3, "qvel": 0.1}
 """Largest differences of one control step between engines: m or rad, m/s or rad/s."""
 Active = Callable[[int], NDArray[np.bool_]]
-"""Control step to an (n,) mask of the selected environments that are compared in it."""
+"""Control step -> (n,) mask of the selected environments that are compared in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ class Simulation(FollowedRows):
     Attributes:
         engine: The engine; its environment i is the i-th selected one.
         changes: Number of writes to model fields.
-        largest_error: If not `exact`: component to largest absolute difference.
+        largest_error: If not `exact`: component -> largest absolute difference.
         measured: Number of states of environments that were measured.
         outside: Number of these that differ by more than `TOLERANCE`.
 

@@ -43,7 +43,7 @@ class LogSummary:
         channels: Topic to channel.
         steps: Number of control steps.
         episodes: Episodes that ended, in order of their ends.
-        attachments: Name to size in bytes.
+        attachments: Name -> size in bytes.
         compressions: Compressions of its chunks.
         complete: Whether the file has its end, and the number of messages that it announces.
         warnings: What is missing or damaged, one line each; empty for a complete log.

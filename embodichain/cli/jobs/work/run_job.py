@@ -122,7 +122,9 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
         if job.root.sim.backend == "ray":
             from embodichain.cli.jobs.sharding import play_inside
 
-            steps = play_inside(job.root, env, counted) or steps
+            inside = play_inside(job.root, env, counted)
+            if inside is not None:
+                steps = inside
         if stop.is_stopped():  # while the environment was built: no step is made
             status = "interrupted"
             steps = iter(())
@@ -131,7 +133,7 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
                 time.sleep(max(0.0, start + counted.steps * env.step_dt - time.perf_counter()))
             if display.due:
                 show()
-            if counted.complete:  # `play` ends by itself
+            if counted.complete:  # the last step: the loop ends by itself, as finished
                 continue
             if stop.is_stopped():
                 status = "interrupted"

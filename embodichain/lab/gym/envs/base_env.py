@@ -225,6 +225,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.sensors = {}
         self._detached_uids: list[str] = []
         self.overridden = overridden_hooks(self)
+        # EmbodiChain's name: overrides of `reset` read it; nothing here does.
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
         self._closed = False
         self.arrays_moved = False
@@ -611,6 +612,12 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     def _step(self, action: EnvAction, action_values: Floats, kwargs: dict[str, Any]) -> StepResult:
         """Take a step by a checked action and its numbers (N, A); see `step` for the order."""
+        # Some of the N environments, in three forms:
+        # - masks (N,): `pending` (reset after this step, as NEXT_STEP does), `over` and `cut` (the
+        #   episode is truncated), and those of `result`;
+        # - sorted indices (n,), or None for all: `stepped` (all but the pending ones), `going_on`
+        #   (neither pending nor at the end of their episode); with arrays on a device, masks;
+        # - a list of such indices, one for each event or command that changed something: `changed`.
         episodes = self.episodes
         judge = self._judge
         episodes.last_action = action_values

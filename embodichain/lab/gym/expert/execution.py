@@ -192,6 +192,7 @@ class Execution:
         for index, arm, env_ids in self._by_instruction(is_over):
             self._finish(index, arm, env_ids)
         begins: list[Mask] = []
+        # An arm without an instruction has index -1, which finds the last entry: it stays without.
         following = np.append(self._program.next, _NO_INSTRUCTION)
         for arm, over in zip(self._arms, is_over, strict=True):
             over &= ~self.done  # what has failed goes on nowhere
@@ -241,6 +242,7 @@ class Execution:
         over: Mask = self._is_move[index] & has_arrived
         over |= self._is_grip[index] & self._has_gripped(arm)
         over |= self._is_wait[index] & (arm.elapsed_steps >= arm.wait_steps)
+        # At the start nothing is under way: that counts as over, so that the first phase begins.
         over |= self._phase == _BEFORE_FIRST_PHASE
         return over
 
@@ -318,8 +320,8 @@ class Execution:
             along=move.goal.along,
         )
         for env_id, place in zip(env_ids[~is_reachable], pos[~is_reachable], strict=True):
-            obstacle = arm.path.obstacles[int(env_id)]
-            why = f"no straight line of the tool to {as_place(place)}: {obstacle}"
+            reason = arm.path.unreachable[int(env_id)]
+            why = f"no straight line of the tool to {as_place(place)}: {reason}"
             self._fail(arm, np.array([env_id]), why)
 
     def _finish(self, index: int, arm: _ArmExecution, env_ids: EnvIds) -> None:

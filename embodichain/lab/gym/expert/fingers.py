@@ -17,7 +17,7 @@ import numpy as np
 from embodichain.lab.gym.expert.arms import ControlledArm, DeclaredArm, arms_of, find_arm
 from embodichain.lab.gym.expert.instructions import Facing, Move
 from embodichain.lab.gym.expert.program import check_steps
-from embodichain.lab.gym.expert.reading import ReadStep, flat_steps
+from embodichain.lab.gym.expert.reading import ParsedStep, flat_steps
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def read_fingers(arm: ControlledArm) -> Fingers:
 
 
 def unclear_fingers(
-    steps: Sequence[ReadStep],
+    steps: Sequence[ParsedStep],
     pairs: Sequence[tuple[DeclaredArm, ControlledArm]],
     fingers: Sequence[Fingers],
 ) -> list[Problem]:
@@ -105,7 +105,7 @@ def unclear_fingers(
     declared_arms = [declared for declared, _ in pairs]
     problems: dict[str, Problem] = {}
     for step in flat_steps(steps):
-        if step.within:  # steps inside another are checked by themselves
+        if step.inner_steps:  # steps inside another are checked by themselves
             continue
         for name in _aligned_arms(step):
             number = declared_arms.index(find_arm(name, declared_arms, step.path))
@@ -121,7 +121,7 @@ def unclear_fingers(
     return list(problems.values())
 
 
-def _aligned_arms(step: ReadStep) -> list[str]:
+def _aligned_arms(step: ParsedStep) -> list[str]:
     """Return the arms whose fingers a step turns to a target, once for each phase."""
     arms: list[str] = []
     for phase in step.phases:

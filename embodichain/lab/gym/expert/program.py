@@ -11,8 +11,8 @@ from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.terms.check import check_params
 from embodichain.lab.gym.envs.managers.terms.registry import describe_term, import_object
 from embodichain.lab.gym.expert.arms import DeclaredArm, declared_arms, find_arm
-from embodichain.lab.gym.expert.instructions import Goal, Grip, Instruction, Move
-from embodichain.lab.gym.expert.reading import ReadStep, flat_steps, read_steps
+from embodichain.lab.gym.expert.instructions import Grip, Instruction
+from embodichain.lab.gym.expert.reading import ParsedStep, flat_steps, read_steps
 from embodichain.lab.gym.expert.targets import check_target
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -30,7 +30,7 @@ _NONE = -1
 
 def check_steps(
     values: Sequence[Any], arms: Sequence[DeclaredArm] | None, path: str = "expert"
-) -> tuple[list[ReadStep], list[Problem]]:
+) -> tuple[list[ParsedStep], list[Problem]]:
     """Read steps and check the arms that they name.
 
     Args:
@@ -50,7 +50,7 @@ def check_steps(
     return steps, problems
 
 
-def _check_arms(step: ReadStep, arms: Sequence[DeclaredArm]) -> list[Problem]:
+def _check_arms(step: ParsedStep, arms: Sequence[DeclaredArm]) -> list[Problem]:
     """Return the arms of a step that do not exist, or lack the gripper that it needs."""
     problems: list[Problem] = []
     for key, name in step.arms.items():
@@ -67,7 +67,7 @@ def _check_arms(step: ReadStep, arms: Sequence[DeclaredArm]) -> list[Problem]:
     return problems
 
 
-def targets_in(steps: Sequence[ReadStep]) -> list[tuple[str, Any]]:
+def targets_in(steps: Sequence[ParsedStep]) -> list[tuple[str, Any]]:
     """Key path and target of all that the steps refer to."""
     pairs: list[tuple[str, Any]] = []
     for step in flat_steps(steps):
@@ -170,15 +170,13 @@ class Program:
 
     Attributes:
         instructions: All of them.
-        arm: (I,) number of the arm of each.
         next: (I,) the next one of the same arm in the same phase, or -1.
         first: (P, arms) the first one of each arm in each phase, or -1.
     """
 
-    def __init__(self, steps: Sequence[ReadStep], arms: Sequence[DeclaredArm]) -> None:
+    def __init__(self, steps: Sequence[ParsedStep], arms: Sequence[DeclaredArm]) -> None:
         self.instructions: list[Instruction] = []
         arm_numbers = {arm.name: number for number, arm in enumerate(arms)}
-        arm_of: list[int] = []
         next_of: list[int] = []
         first_of_phases: list[list[int]] = []
         for step in steps:
@@ -194,17 +192,10 @@ class Program:
                             # Instructions of one arm in one phase have consecutive indices.
                             next_of[-1] = index
                         self.instructions.append(instruction)
-                        arm_of.append(number)
                         next_of.append(_NONE)
                 first_of_phases.append(first_of_arms)
-        self.arm: NDArray[np.int64] = np.array(arm_of, np.int64)
         self.next: NDArray[np.int64] = np.array(next_of, np.int64)
         self.first: NDArray[np.int64] = np.array(first_of_phases, np.int64).reshape(-1, len(arms))
-
-    def goals(self) -> list[Goal]:
-        """The goals of all motions."""
-        moves = [item for item in self.instructions if isinstance(item, Move)]
-        return [move.goal for move in moves]
 
     def taken(self) -> list[Any]:
         """Everything that is grasped, once each."""

@@ -17,19 +17,26 @@ from embodichain.lab.gym.envs.managers.param_types import Fraction
 from embodichain.lab.gym.envs.managers.terms.check import check_params
 from embodichain.lab.gym.envs.managers.terms.registry import TermSpec, describe_term
 from embodichain.lab.gym.expert.instructions import Grip, Instruction, Phase, Target
-from embodichain.lab.gym.expert.step_register import COMPOSITES, STEPS, Aim, Arm, Maker, Turns
+from embodichain.lab.gym.expert.step_register import (
+    COMPOSITES,
+    STEPS,
+    Arm,
+    Maker,
+    Symmetry,
+    TargetParam,
+)
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import show_value
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["ReadStep", "flat_steps", "read_steps"]
+__all__ = ["ParsedStep", "flat_steps", "read_steps"]
 
-_NAMING = ("to", "of", "align")
+_SUBJECT_KEYS = ("to", "of", "align")
 """Parameters whose value tells steps of one kind apart in messages; the first that is set does."""
 
 
 @dataclass(frozen=True)
-class ReadStep:
+class ParsedStep:
     """A step.
 
     Attributes:
@@ -37,7 +44,7 @@ class ReadStep:
         phases: What it is made of.
         targets: Key path and target of all that it refers to.
         arms: Its arms by parameter; "" is the only arm.
-        within: Steps in it.
+        inner_steps: The steps that it contains.
         lane: The arm of the lane of `together` that it is in, or None.
     """
 
@@ -45,20 +52,20 @@ class ReadStep:
     phases: list[Phase]
     targets: list[tuple[str, Target]]
     arms: Mapping[str, str]
-    within: Sequence[ReadStep] = ()
+    inner_steps: Sequence[ParsedStep] = ()
     lane: str | None = None
 
     @property
     def grips(self) -> bool:
         """Whether it needs a gripper."""
-        if self.within:  # then they do
+        if self.inner_steps:  # then they do
             return False
         return any(isinstance(instruction, Grip) for instruction in self.instructions())
 
-    def flat(self) -> Iterator[ReadStep]:
+    def flat(self) -> Iterator[ParsedStep]:
         """This step and those within it."""
         yield self
-        for step in self.within:
+        for step in self.inner_steps:
             yield from step.flat()
 
     def instructions(self) -> Iterator[Instruction]:
@@ -68,7 +75,7 @@ class ReadStep:
                 yield from instructions
 
 
-def flat_steps(steps: Sequence[ReadStep]) -> Iterator[ReadStep]:
+def flat_steps(steps: Sequence[ParsedStep]) -> Iterator[ParsedStep]:
     """These steps, each followed by those within it."""
     for step in steps:
         yield from step.flat()
@@ -76,7 +83,7 @@ def flat_steps(steps: Sequence[ReadStep]) -> Iterator[ReadStep]:
 
 def read_steps(
     values: Sequence[Any], path: str = "expert", number: str = "", lane: str | None = None
-) -> tuple[list[ReadStep], list[Problem]]:
+) -> tuple[list[ParsedStep], list[Problem]]:
     """Read steps from plain values.
 
     Args:
@@ -88,7 +95,7 @@ def read_steps(
     Returns:
         The steps that could be read, and every mistake.
     """
-    steps: list[ReadStep] = []
+    steps: list[ParsedStep] = []
     problems: list[Problem] = []
     for i, value in enumerate(values):
         try:
@@ -98,7 +105,7 @@ def read_steps(
     return steps, problems
 
 
-def _read_step(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
+def _read_step(value: Any, path: str, number: str, lane: str | None) -> ParsedStep:
     """Read one step, also one that contains others.
 
     Raises:
@@ -122,7 +129,7 @@ def _read_step(value: Any, path: str, number: str, lane: str | None) -> ReadStep
     return _read_plain_step(name, params, path, number, lane)
 
 
-def _read_plain_step(name: str, value: Any, path: str, number: str, lane: str | None) -> ReadStep:
+def _read_plain_step(name: str, value: Any, path: str, number: str, lane: str | None) -> ParsedStep:
     """Read a step that contains no others: check its parameters, and make its instructions."""
     spec = _describe(name)
     params = _named_params(value, next(iter(spec.params), ""), path)
@@ -130,7 +137,7 @@ def _read_plain_step(name: str, value: Any, path: str, number: str, lane: str | 
         key: params.pop(key) for key in ("arm", "speed") if key in params
     }
     values, problems = check_params(spec, params, path)
-    problems += _check_turns(spec, values, path)
+    problems += _check_turning(spec, values, path)
     shared, shared_problems = check_params(_shared_spec(), shared_params, path)
     if problems or shared_problems:
         raise ConfigError([*problems, *shared_problems])
@@ -141,10 +148,10 @@ def _read_plain_step(name: str, value: Any, path: str, number: str, lane: str | 
         _check_lane(lane, arm, other_arms, path)
     targets = [
         (f"{path}.{key}", values[key])
-        for key in _parameters_of_type(spec, Aim)
+        for key in _parameters_of_type(spec, TargetParam)
         if values.get(key) is not None
     ]
-    subject = next((values[key] for key in _NAMING if isinstance(values.get(key), str)), "")
+    subject = next((values[key] for key in _SUBJECT_KEYS if isinstance(values.get(key), str)), "")
     maker = Maker(
         step=f"step {number}, {name} {subject}".rstrip(),
         arm=arm,
@@ -156,12 +163,13 @@ def _read_plain_step(name: str, value: Any, path: str, number: str, lane: str | 
         {arm_name: list(group)}
         for arm_name, group in groupby(instructions, lambda instruction: instruction.arm)
     ]
-    return ReadStep(path, phases, targets, {"arm": arm} | other_arms, lane=lane)
+    return ParsedStep(path, phases, targets, {"arm": arm} | other_arms, lane=lane)
 
 
-def _check_turns(spec: TermSpec, values: Mapping[str, Any], path: str) -> list[Problem]:
+def _check_turning(spec: TermSpec, values: Mapping[str, Any], path: str) -> list[Problem]:
     """Return the keys of a step that turn the tool in a way that another key replaces."""
-    if not _parameters_of_type(spec, Turns):
+    has_symmetry = "symmetry" in _parameters_of_type(spec, Symmetry)
+    if not has_symmetry or "align" not in spec.params:
         return []
     has_orientation = values.get("rpy") is not None
     if has_orientation:
@@ -225,7 +233,7 @@ def _named_params(value: Any, first: str, path: str) -> dict[str, Any]:
     return {first: value}
 
 
-def _read_repeat(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
+def _read_repeat(value: Any, path: str, number: str, lane: str | None) -> ParsedStep:
     """Read ``{times: 3, steps: [...]}``."""
     if not isinstance(value, Mapping) or set(value) != {"times", "steps"}:
         raise ConfigError([Problem(path, f"needs times and steps, got {show_value(value)}")])
@@ -237,10 +245,10 @@ def _read_repeat(value: Any, path: str, number: str, lane: str | None) -> ReadSt
     phases: list[Phase] = []
     for step in steps:
         phases += step.phases
-    return ReadStep(path, times * phases, targets=[], arms={}, within=steps, lane=lane)
+    return ParsedStep(path, times * phases, targets=[], arms={}, inner_steps=steps, lane=lane)
 
 
-def _read_together(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
+def _read_together(value: Any, path: str, number: str, lane: str | None) -> ParsedStep:
     """Read ``{ARM: steps, ARM: steps}``; each arm with its steps is a lane."""
     if not isinstance(value, Mapping) or not value:
         message = f"needs a map from arms to their steps, got {show_value(value)}"
@@ -249,19 +257,19 @@ def _read_together(value: Any, path: str, number: str, lane: str | None) -> Read
         raise ConfigError([Problem(path, f"these are the steps of {lane!r} alone")])
     # One phase: arms do not wait for each other before all of their steps are done.
     phase: Phase = {}
-    within: list[ReadStep] = []
+    inner_steps: list[ParsedStep] = []
     for arm, values in value.items():
         steps = _read_inner_steps(values, f"{path}.{arm}", number, str(arm))
         instructions: list[Instruction] = []
         for step in steps:
             instructions += step.instructions()
         phase[str(arm)] = instructions
-        within += steps
+        inner_steps += steps
     arms = {str(arm): str(arm) for arm in value}
-    return ReadStep(path, [phase], targets=[], arms=arms, within=within)
+    return ParsedStep(path, [phase], targets=[], arms=arms, inner_steps=inner_steps)
 
 
-def _read_inner_steps(values: Any, path: str, number: str, lane: str | None) -> list[ReadStep]:
+def _read_inner_steps(values: Any, path: str, number: str, lane: str | None) -> list[ParsedStep]:
     """Read the steps of one that contains others."""
     if not isinstance(values, list) or not values:
         raise ConfigError([Problem(path, f"needs a list of steps, got {show_value(values)}")])

@@ -4,7 +4,7 @@ A step is a function that yields the instructions it is made of. Its first argum
 the others are its parameters in a task file, checked by their types::
 
     @expert_step("nudge")
-    def nudge(make: Maker, of: Aim, by: Positive = 0.02) -> Made:
+    def nudge(make: Maker, of: TargetParam, by: Positive = 0.02) -> Made:
         yield make.move(Goal(of, above=by))
         yield make.move(Goal(of))
 
@@ -39,6 +39,8 @@ __all__ = [
     "Axes",
     "Made",
     "Maker",
+    "Symmetry",
+    "TargetParam",
     "Turns",
     "expert_step",
 ]
@@ -50,14 +52,18 @@ def _as_target(value: Any) -> Target:
     return value
 
 
-Aim = Annotated[Target, PlainValidator(_as_target)]
+TargetParam = Annotated[Target, PlainValidator(_as_target)]
 """A parameter that is a target: it must exist in the task."""
 Arm = Annotated[str, "arm"]
 """A parameter that names another arm, which then takes part in the step."""
 Axes = Literal["world", "target", "tool"]
 Along = Literal["tool", "joints"]
-Turns = Annotated[int, Field(ge=1)]
+Symmetry = Annotated[int, Field(ge=1)]
+"""A parameter that is the number of directions in a full turn that are as good."""
 Made = Iterator[Instruction]
+# Older names.
+Aim = TargetParam
+Turns = Symmetry
 PASSING_DISTANCE = 0.03
 """Distance in metres that the tool must be within at a place that it passes."""
 
@@ -80,8 +86,16 @@ class Maker:
         """Return a motion of the tool to a goal, at a share of the speed of the step."""
         return Move(self.step, self.arm, goal, self.speed * share, near)
 
+    def open_gripper(self) -> Grip:
+        """Return that the gripper opens."""
+        return Grip(self.step, self.arm, opens=True, takes=None)
+
+    def close_gripper(self, on: Target | None = None) -> Grip:
+        """Return that the gripper closes; the step fails unless it then holds what `on` names."""
+        return Grip(self.step, self.arm, opens=False, takes=on)
+
     def grip(self, opens: bool, takes: Target | None = None) -> Grip:
-        """Return that the gripper opens, or closes on what `takes` names."""
+        """The older name of `open_gripper` and `close_gripper`."""
         return Grip(self.step, self.arm, opens, takes)
 
     def wait(self, seconds: float) -> Wait:
@@ -105,8 +119,8 @@ def expert_step(name: str) -> Callable[[Step], Step]:
     """Register a function ``step(make, **params)`` that yields instructions as a step.
 
     Parameters `arm` and `speed` belong to every step and are not the function's own; `make` has
-    them. A parameter of type `Aim` is a target, one of type `Arm` another arm. What is written
-    without a key in a task file, ``{grasp: cube}``, is the first parameter.
+    them. A parameter of type `TargetParam` is a target, one of type `Arm` another arm. What is
+    written without a key in a task file, ``{grasp: cube}``, is the first parameter.
 
     Args:
         name: Its name in task files.

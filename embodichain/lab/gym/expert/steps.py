@@ -17,13 +17,13 @@ from embodichain.lab.gym.expert.instructions import Beyond, Facing, Goal, Orient
 from embodichain.lab.gym.expert.step_register import (
     PASSING_DISTANCE,
     STEPS,
-    Aim,
     Along,
     Arm,
     Axes,
     Made,
     Maker,
-    Turns,
+    Symmetry,
+    TargetParam,
     expert_step,
 )
 
@@ -35,7 +35,7 @@ _NEAR = 0.004
 
 
 def _turn(
-    align: Aim | None, symmetry: Turns, rpy: Vector | None = None, *, level: bool = False
+    align: TargetParam | None, symmetry: Symmetry, rpy: Vector | None = None, *, level: bool = False
 ) -> Turn | None:
     """How the tool is turned: to an orientation, or to a target, or not at all."""
     if rpy is not None:
@@ -48,11 +48,11 @@ def _turn(
 @expert_step("move_to")
 def move_to(
     make: Maker,
-    to: Aim | None = None,
+    to: TargetParam | None = None,
     offset: Vector = _ZERO,
     axes: Axes = "world",
-    align: Aim | None = None,
-    symmetry: Turns = 4,
+    align: TargetParam | None = None,
+    symmetry: Symmetry = 4,
     rpy: Vector | None = None,
     held: bool = False,
     free: bool = False,
@@ -75,12 +75,12 @@ def move_to(
 @expert_step("grasp")
 def grasp(
     make: Maker,
-    of: Aim,
+    of: TargetParam,
     offset: Vector = _ZERO,
     axes: Axes = "world",
     approach: NonNegative = 0.1,
     align: bool = True,
-    symmetry: Turns = 4,
+    symmetry: Symmetry = 4,
     rpy: Vector | None = None,
 ) -> Made:
     """Moves before the target, then to it, closes the gripper, checks that it holds something.
@@ -93,13 +93,13 @@ def grasp(
     if approach:
         yield make.move(dataclasses.replace(goal, back=approach))
     yield make.move(goal, _NEAR)
-    yield make.grip(False, of)
+    yield make.close_gripper(on=of)
 
 
 @expert_step("release")
 def release(make: Maker, retreat: NonNegative = 0.0) -> Made:
     """Opens the gripper, then moves back."""
-    yield make.grip(True)
+    yield make.open_gripper()
     if retreat:
         yield make.move(Goal(back=retreat))
 
@@ -107,7 +107,7 @@ def release(make: Maker, retreat: NonNegative = 0.0) -> Made:
 @expert_step("close")
 def close(make: Maker) -> Made:
     """Closes the gripper on nothing, as for pressing."""
-    yield make.grip(False)
+    yield make.close_gripper()
 
 
 @expert_step("lift")
@@ -119,12 +119,12 @@ def lift(make: Maker, by: Positive = 0.1) -> Made:
 @expert_step("place")
 def place(
     make: Maker,
-    to: Aim,
+    to: TargetParam,
     offset: Vector = _ZERO,
     axes: Axes = "world",
     above: NonNegative = 0.08,
-    align: Aim | None = None,
-    symmetry: Turns = 4,
+    align: TargetParam | None = None,
+    symmetry: Symmetry = 4,
     retreat: NonNegative = 0.08,
     lowering: Fraction = 0.5,
 ) -> Made:
@@ -140,8 +140,8 @@ def place(
 @expert_step("push")
 def push(
     make: Maker,
-    of: Aim,
-    to: Aim,
+    of: TargetParam,
+    to: TargetParam,
     behind: NonNegative = 0.05,
     clearance: NonNegative = 0.05,
     height: float = 0.0,
@@ -164,13 +164,13 @@ def push(
 @expert_step("open")
 def open_(
     make: Maker,
-    of: Aim,
+    of: TargetParam,
     by: Vector,
     offset: Vector = _ZERO,
     axes: Axes = "world",
     approach: NonNegative = 0.1,
     align: bool = True,
-    symmetry: Turns = 4,
+    symmetry: Symmetry = 4,
     rpy: Vector | None = None,
     pull: Fraction = 0.5,
 ) -> Made:
@@ -183,7 +183,7 @@ def open_(
 @expert_step("press")
 def press(
     make: Maker,
-    of: Aim,
+    of: TargetParam,
     offset: Vector = _ZERO,
     axes: Axes = "world",
     depth: Positive = 0.01,
@@ -200,14 +200,14 @@ def press(
 @expert_step("hand_over")
 def hand_over(
     make: Maker,
-    of: Aim,
+    of: TargetParam,
     to: Arm,
     at: Vector | None = None,
     offset: Vector = _ZERO,
     axes: Axes = "world",
     approach: NonNegative = 0.1,
     align: bool = True,
-    symmetry: Turns = 4,
+    symmetry: Symmetry = 4,
     rpy: Vector | None = None,
     retreat: NonNegative = 0.1,
 ) -> Made:

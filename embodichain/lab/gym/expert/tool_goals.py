@@ -24,7 +24,7 @@ from embodichain.utils.math import (
 if TYPE_CHECKING:
     from embodichain.lab.gym.expert.fingers import Fingers
     from embodichain.lab.gym.expert.grasps import Grasp
-    from embodichain.lab.gym.expert.reading import ReadStep
+    from embodichain.lab.gym.expert.reading import ParsedStep
     from embodichain.lab.sim.engine.api import F64
     from embodichain.utils.array_types import EnvIds
 
@@ -149,14 +149,14 @@ def _heading(quat: F64) -> F64:
 
 
 def check_orientations(
-    steps: Sequence[ReadStep], arms: Sequence[ControlledArm], declared: Sequence[DeclaredArm]
+    steps: Sequence[ParsedStep], arms: Sequence[ControlledArm], declared: Sequence[DeclaredArm]
 ) -> list[Problem]:
     """Return steps that ask for an orientation of an arm whose action does not choose it."""
     problems: list[Problem] = []
     orientation_of = {arm.name: arm.term.orientation for arm in arms}
     for step in steps:
         for part in step.flat():
-            if part.within:  # a step inside another is checked as a part of it
+            if part.inner_steps:  # a step inside another is checked as a part of it
                 continue
             for phase in part.phases:
                 for arm, instructions in phase.items():

@@ -49,6 +49,8 @@ _VELOCITY_MARGIN = 0.95
 """Share of the limits of velocity that is used."""
 _RESTING_SPEED = 0.02
 """Speed in m/s of the tool below which a remaining error is corrected."""
+_ARRIVED_SPEED = 2.5 * _RESTING_SPEED
+"""Speed in m/s below which the tool has come to rest: a correction, too, moves it a little."""
 _CORRECTION = 0.5
 """Share of the remaining error that is corrected in a control step."""
 _LARGEST_CORRECTION = 0.05
@@ -81,7 +83,7 @@ class ToolPath:
         path_pos: (N, 3) where the tool is on its path.
         path_quat: (N, 4).
         steps: (N,) control steps of the present path.
-        obstacles: Environment -> where its last line ended that could not be reached, and why.
+        unreachable: Environment -> why its last line could not be followed, and how far it could.
     """
 
     def __init__(self, arm: ControlledArm, num_envs: int, step_dt: float) -> None:
@@ -107,7 +109,7 @@ class ToolPath:
         self._last_qpos: F64 = np.zeros((num_envs, joints))
         self.path_pos = self.pos.copy()
         self.path_quat = self.quat.copy()
-        self.obstacles: dict[int, str] = {}
+        self.unreachable: dict[int, str] = {}
 
         # Its end, and what is added to the path's pose so that the tool arrives there.
         self._goal_pos: F64 = np.zeros((num_envs, 3))
@@ -198,7 +200,7 @@ class ToolPath:
     ) -> tuple[F64, NDArray[np.bool_]]:
         """Return (n, W + 1, k) joint positions on lines, and (n,) whether they reach all of them.
 
-        Why a line cannot be reached is stored in `obstacles`.
+        Why a line cannot be reached is stored in `unreachable`.
         """
         start_pos = self.path_pos[env_ids]
         start_quat = self.path_quat[env_ids]
@@ -239,7 +241,7 @@ class ToolPath:
             is_reachable[retried] = is_solved[:, retried].all(axis=0) & _smooth(line[:, retried])
         for k in np.flatnonzero(~is_reachable):
             env_id = int(env_ids[k])
-            self.obstacles[env_id] = self._obstacle(
+            self.unreachable[env_id] = self._why_unreachable(
                 env_id, line[:, k], is_solved[:, k], points[:, k]
             )
         return np.moveaxis(line, 0, 1)[..., self._solver.moving], is_reachable
@@ -259,10 +261,12 @@ class ToolPath:
         start = start_qpos[:, None, self._solver.moving]
         end = end_qpos[:, None, self._solver.moving]
         for k in np.flatnonzero(~is_reachable):
-            self.obstacles[int(env_ids[k])] = "no joint positions within the limits reach it"
+            self.unreachable[int(env_ids[k])] = "no joint positions within the limits reach it"
         return start + shares * (end - start), is_reachable
 
-    def _obstacle(self, env_id: int, line: F64, is_solved: NDArray[np.bool_], points: F64) -> str:
+    def _why_unreachable(
+        self, env_id: int, line: F64, is_solved: NDArray[np.bool_], points: F64
+    ) -> str:
         """Return where a line ends in an environment, and which joint or distance ends it.
 
         Args:
@@ -372,16 +376,17 @@ class ToolPath:
 
     def at_rest(self) -> NDArray[np.bool_]:
         """(N,) whether the tool hardly moves."""
-        return self._speed < 2.5 * _RESTING_SPEED
+        return self._speed < _ARRIVED_SPEED
 
-    def advance(self, corrects: NDArray[np.bool_]) -> F64:
+    def advance(self, is_moving: NDArray[np.bool_]) -> F64:
         """Go one control step along the path, and return the action (N, A) that commands it.
 
         Args:
-            corrects: (N,) where an error that remains at the end of the path is to be corrected.
+            is_moving: (N,) where a motion is under way: there an error that remains at the end of
+                the path is corrected.
         """
         is_at_end = self.is_at_end()
-        self._correct(corrects & is_at_end & (self._speed < _RESTING_SPEED))
+        self._correct(is_moving & is_at_end & (self._speed < _RESTING_SPEED))
         step = np.minimum(self._step, self.steps - 1)
         self._step += ~is_at_end
         self._last_qpos = self._path[np.arange(self._count), step]

@@ -1,4 +1,4 @@
-"""`BaseSensor`, a sensor in N environments, and `register_sensor`, the door to all types of them.
+"""`BaseSensor`, a sensor in N environments, and `register_sensor`, which adds a type of sensor.
 
 A type of sensor is one file: a `SensorCfg`, and a `BaseSensor` that is registered with it. The
 class says what it looks up in a scene (`make_plan`), what it adds to the scene (`edit_spec`), where

@@ -129,7 +129,7 @@ class Camera(BaseSensor):
         """Look up the link, site or geom that it is fixed on, if any."""
         carrier, problems = mount(cfg, scene.known)
         if carrier is None:
-            return scene.plan_in_the_open(uid, cfg), problems
+            return scene.plan_without_carrier(uid, cfg), problems
         frames, mistakes = scene.one("of", carrier)
         problems += mistakes
         if problems or frames is None:

@@ -165,9 +165,10 @@ class RayCaster(BaseSensor):
         cls, uid: str, cfg: RayCastCfg, scene: SceneNames
     ) -> tuple[SensorPlan | None, list[Problem]]:
         """Look up what it is fixed on, if anything, and the entities that rays can hit or not."""
-        problems = scene.entities("hit", cfg.hit) + scene.entities("exclude", cfg.exclude)
+        problems = scene.check_entities("hit", cfg.hit)
+        problems += scene.check_entities("exclude", cfg.exclude)
         if cfg.of == LinksCfg():
-            plan = None if problems else scene.plan_in_the_open(uid, cfg)
+            plan = None if problems else scene.plan_without_carrier(uid, cfg)
             return plan, problems
         frames, mistakes = scene.one("of", cfg.of)
         problems = mistakes + problems

@@ -28,8 +28,8 @@ class Sampler:
 
     Without a rate, readings are of the current state. With a rate, an environment keeps its
     readings until the next multiple of 1 / rate of its simulated time; the first read at or after
-    it measures again, as does the first read after a reset. Another read at the time of a
-    measurement is of the state at that moment: writes at that time are included.
+    it measures again, as does the first read after a reset. If something is written after a
+    measurement, at the same simulated time, a further read measures again.
 
     Args:
         engine: The engine.
@@ -93,7 +93,8 @@ class Sampler:
         is_current: NDArray[np.bool_] = np.zeros_like(time, np.bool_)
         if self._of_positions:
             is_current |= self._engine.versions <= self._versions
-        if self._rate is not None:  # the time of no measurement is infinite
+        if self._rate is not None:
+            # Where it was never measured, the time is infinite, so this is False.
             period = np.floor(time * self._rate + _TOLERANCE)
             last_period = np.floor(self._times * self._rate + _TOLERANCE)
             is_current |= (self._times < time) & (last_period == period)

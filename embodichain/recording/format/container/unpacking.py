@@ -73,7 +73,7 @@ def unpacked_size(name: str, data: bytes) -> int:
 
 
 def listed(attachments: Iterable[tuple[str, str, bytes]]) -> dict[str, tuple[int, str]]:
-    """Name to unpacked size and digest of the attachments of a new log, for its metadata.
+    """Name -> unpacked size and digest of the attachments of a new log, for its metadata.
 
     Args:
         attachments: Name, media type and content of each.

@@ -177,7 +177,7 @@ def test_a_curriculum_that_gives_nan_is_named(make, caplog) -> None:
 
 def test_physics_that_diverges_is_said_so_and_no_term_is_blamed(make, caplog) -> None:
     env = make(
-        "rewards:\n  far: {func: position, params: {of: {uid: ur10, link: ee_link}, axes: x}}\n"
+        "rewards:\n  far: {func: position, params: {of: {uid: robot, link: tool}, axes: x}}\n"
     )
     env.reset()
     action = torch.zeros(4, *env.single_action_space.shape)
@@ -240,7 +240,7 @@ def test_a_term_that_leaves_the_program_is_an_error(make) -> None:
 
 def test_a_config_error_of_a_term_keeps_its_type_and_gets_its_place(make) -> None:
     with pytest.raises(ConfigError) as caught:
-        make("rewards:\n  bad: {func: position, params: {of: {uid: ur10}}}\n")
+        make("rewards:\n  bad: {func: position, params: {of: {uid: robot}}}\n")
     assert "mine.yaml:3: task.rewards.bad" in str(caught.value)
 
 

@@ -125,7 +125,7 @@ def test_a_function_that_does_not_exist():
 
 
 def test_the_policy_needs_the_section():
-    found = validate(compose(["task=push_cube", "policy=expert"]))
+    found = validate(compose(["task=cart_pole", "policy=expert"]))
     assert [problem.path for problem in found] == ["policy"]
     assert "the task has no section `expert`" in str(found[0])
 

@@ -14,6 +14,12 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "terms.registry": ["TERMS", "TermSpec", "register_term", "resolve_term"],
         "scene_entity": ["ResolvedEntity", "resolve_entity"],
         "term": ["ActionTerm", "CommandTerm", "Term"],
-        "value_managers": ["MetricManager", "RewardManager", "TerminationManager", "check_shapes"],
+        "value_managers": [
+            "MetricManager",
+            "RewardManager",
+            "TerminationManager",
+            "check_shapes",
+            "check_values",
+        ],
     },
 )

@@ -66,7 +66,7 @@ class BuiltTerm(Generic[C]):
     Attributes:
         name: Its key in the config.
         cfg: Its declaration.
-        spec: The function or class behind it.
+        spec: The function or class that its declaration names; of an alias, the alias.
         call: The function that the manager calls, with parameters bound.
         instance: The object with the term's state, if the term is a class, of whatever base.
         columns: The names of the columns of its value, before shapes.
@@ -120,36 +120,36 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     columns = columns_of_term(env, checked.values, values, spec.hints())
 
     with _under(params_path, _names_in_config(checked)):
-        parts = [(spec, values)]
+        # What is called: the term, or what its name stands for, which may have shapes of its own.
+        called = spec
+        shapes_of_alias: list[tuple[TermSpec, dict[str, Any]]] = []
         if isinstance(spec, AliasSpec):
-            parts = spec.meaning(values, env)
-        source, values = parts[0]
+            (called, values), *shapes_of_alias = spec.meaning(values, env)
         instance: Any = None
-        if source.is_class:
-            instance = source.func(env, **source.arguments(values))
+        if called.is_class:
+            instance = called.func(env, **called.arguments(values))
         shapes: list[Shape] = [
-            shape.func(env, **shape.arguments(params)) for shape, params in parts[1:]
+            shape.func(env, **shape.arguments(params)) for shape, params in shapes_of_alias
         ]
     for shape, params in checked.shapes:
         with _under(f"{path}.shape.{shape.name}"):
             params = _in_columns_of_term(params, columns)
             shapes.append(shape.func(env, **shape.arguments(params)))
-    if source.lead is None and not shapes:
-        call = _direct_call(source, values, kind, instance)
-        return BuiltTerm(
-            name=name, cfg=cfg, spec=source, call=call, instance=instance, columns=columns
+    state: Any
+    if called.lead is None and not shapes:
+        call = _direct_call(called, values, kind, instance)
+        state = instance
+    else:
+        call = _shaped_call(
+            _reader(called, values, instance),
+            shapes,
+            name=called.name,
+            lead=_lead_of(called, kind),
+            kind=kind,
+            path=path,
+            columns=_axes_of(called, values) or columns,
         )
-
-    call = _shaped_call(
-        _reader(source, values, instance),
-        shapes,
-        name=source.name,
-        lead=_lead_of(source, kind),
-        kind=kind,
-        path=path,
-        columns=_axes_of(source, values) or columns,
-    )
-    state = _state_of([instance, *shapes])
+        state = _state_of([instance, *shapes])
     return BuiltTerm(name=name, cfg=cfg, spec=spec, call=call, instance=state, columns=columns)
 
 
@@ -168,25 +168,25 @@ def _names_in_config(checked: CheckedTerm) -> dict[str, str]:
     return {**checked.names, **in_python, **of_target}
 
 
-def _lead_of(source: TermSpec, kind: Kind) -> tuple[str, ...]:
+def _lead_of(called: TermSpec, kind: Kind) -> tuple[str, ...]:
     """Return which of ``obs``, ``action`` and ``info`` a quantity takes."""
-    if source.lead is not None:
-        return source.lead
+    if called.lead is not None:
+        return called.lead
     # A function or class with the signature of its kind.
     return ("obs",) if kind == "observation" else ("obs", "action", "info")
 
 
-def _axes_of(source: TermSpec, values: Mapping[str, Any]) -> str:
+def _axes_of(called: TermSpec, values: Mapping[str, Any]) -> str:
     """Return the letters of the axes that a quantity reads; empty if it has no such parameter."""
-    default = source.params["axes"].default if "axes" in source.params else ""
+    default = called.params["axes"].default if "axes" in called.params else ""
     return str(values.get("axes", default))
 
 
-def _reader(source: TermSpec, values: dict[str, Any], instance: Any) -> Callable[..., Any]:
+def _reader(called: TermSpec, values: dict[str, Any], instance: Any) -> Callable[..., Any]:
     """Return the function that reads a quantity: of the environment, and of what it takes."""
     if instance is None:
-        return partial(source.func, **source.arguments(values))
-    if source.lead is None:
+        return partial(called.func, **called.arguments(values))
+    if called.lead is None:
         return instance
     return lambda env: instance()  # it received the environment when it was made
 
@@ -441,7 +441,7 @@ class Manager(Generic[C]):
         self._collect()
 
     def _collect(self) -> None:
-        """Collect the calls and states of the terms; repeated when a term is rebuilt."""
+        """List the resets and states of all terms, then `_bind`; repeated when one is rebuilt."""
         self.takes_obs = any(term.takes_obs for term in self.terms.values())
         self.takes_info = any(term.takes_info for term in self.terms.values())
         self._resets: list[tuple[str, Callable[[EnvIndex | None], None]]] = []
@@ -454,7 +454,7 @@ class Manager(Generic[C]):
         self._bind()
 
     def _bind(self) -> None:
-        """Collect what a subclass needs of its terms; the default does nothing."""
+        """Prepare what a subclass calls of its terms; the default does nothing."""
 
     def params(self, name: str) -> dict[str, Any]:
         """The current parameters of a term (a deep copy), as written in a config."""

@@ -90,7 +90,7 @@ class ObservationEntry:
             (N, ...); it may share memory with the simulation.
 
         Raises:
-            ValueError: If the term's value is not (N, ...); names the term.
+            ConfigError: If the term's value is not (N, ...); names the term.
         """
         value = self.term.call(self._env, obs)
         if not self._checked:
@@ -374,7 +374,7 @@ class ObservationManager(Manager[ObservationCfg]):
             obs: The entries so far; new ones are set in it, float32 or not floating point.
 
         Raises:
-            ValueError: If a term's value is not (N, ...); names the term.
+            ConfigError: If a term's value is not (N, ...); names the term.
             ConfigError: If a term modifies an entry that does not exist.
         """
         advancing = self._take_advancing()

@@ -135,7 +135,7 @@ class TerminationManager(Manager[TerminationCfg]):
             absent. ``success`` and ``fail`` terminate, ``time_out`` truncates.
 
         Raises:
-            ValueError: If a term's value has another shape than (N,); names the term.
+            ConfigError: If a term's value has another shape than (N,); names the term.
         """
         masks: Masks = {}
         if not self._calls:
@@ -266,7 +266,7 @@ class MetricManager(Manager[MetricCfg]):
             do not write to them.
 
         Raises:
-            ValueError: If a term's value has another shape than (N,); names the term.
+            ConfigError: If a term's value has another shape than (N,); names the term.
         """
         if info is not None:
             info["metrics"] = dict(info.get("metrics", {}))
@@ -409,7 +409,7 @@ class RewardManager(Manager[RewardCfg]):
             (N,) float32.
 
         Raises:
-            ValueError: If a term's value has another shape than (N,); names the term.
+            ConfigError: If a term's value has another shape than (N,); names the term.
         """
         if not self.terms:
             if info is not None:
@@ -506,7 +506,7 @@ def check_values(env: TermContext, obs: EnvObs) -> None:
         obs: An observation of it.
 
     Raises:
-        ValueError: If a term's value has another shape than (N,); names the term.
+        ConfigError: If a term's value has another shape than (N,); names the term.
     """
     terminations = cast("TerminationManager", env.managers["terminations"])
     metrics = cast("MetricManager", env.managers["metrics"])

@@ -1,4 +1,4 @@
-"""Shapes: functions that reduce each row of a quantity to one number.
+"""Shapes: functions of the rows of a quantity; those in `REDUCERS` make one number of several.
 
 ``{func: distance, shape: {tanh: 0.1}}``; the shapes of a list are applied in order. Each takes (N,)
 or (N, K) float64 or bool. A number in a config instead of a map is the first parameter.

@@ -268,7 +268,7 @@ class StepJudge:
         """Call every term once and check its shape, unless terms may read info of a class's hooks.
 
         Raises:
-            ValueError: If a term's value is not (N,); names the term.
+            ConfigError: If a term's value is not (N,); names the term.
         """
         if not self._hooks.any_makes_info:
             check_values(self._env, obs)

@@ -110,7 +110,7 @@ class StepObservation:
 
     def to_return(
         self,
-        seen: Observation | None,
+        judged_obs: Observation | None,
         changed: Changed,
         kwargs: dict[str, Any],
         stepped: EnvIndex | None,
@@ -118,18 +118,18 @@ class StepObservation:
         """Observe after events and commands.
 
         Args:
-            seen: The result of `to_judge` in this step, or None.
+            judged_obs: The result of `to_judge` in this step, or None.
             changed: Environments of each event that fired and each new command; None is all. Their
-                rows are observed once more, the others are those seen.
+                rows are observed once more, the others are those of `judged_obs`.
             kwargs: Those of `step`.
             stepped: Environments that stepped, None for all.
         """
-        if seen is None:
+        if judged_obs is None:
             return self._observe_step(kwargs, stepped)
         before = self._before
         self._before = None
         if before is None or not changed:
-            return seen
+            return judged_obs
         env = self._env
         # So that it is made with the same noise, and delays and histories advance once.
         self._observations.recall(before.memory)
@@ -140,7 +140,7 @@ class StepObservation:
             rows[slice(None) if ids is None else ids] = True
         if is_host(rows) and rows.all():
             return again
-        return again.with_rows(np.where(rows[:, None], again.rows, seen.rows))
+        return again.with_rows(np.where(rows[:, None], again.rows, judged_obs.rows))
 
     def _observe_step(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
         if not self._hooks_observe:

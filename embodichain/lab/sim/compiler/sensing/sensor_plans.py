@@ -212,7 +212,7 @@ class SceneNames:
         )
         return plan, []
 
-    def plan_in_the_open(self, uid: str, cfg: SensorCfg) -> SensorPlan:
+    def plan_without_carrier(self, uid: str, cfg: SensorCfg) -> SensorPlan:
         """Return the plan of a sensor that is fixed in the environment, on nothing."""
         return SensorPlan(uid=uid, cfg=cfg, names=())
 
@@ -222,7 +222,7 @@ class SceneNames:
             return self
         return dataclasses.replace(self, known={GROUND: "ground plane", **self.known})
 
-    def entities(self, key: str, uids: Sequence[str] | None) -> list[Problem]:
+    def check_entities(self, key: str, uids: Sequence[str] | None) -> list[Problem]:
         """Return the mistakes in a list of uids of entities, or of the ground plane."""
         if uids is None:
             return []

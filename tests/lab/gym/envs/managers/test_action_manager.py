@@ -52,6 +52,13 @@ def test_relative_adds_to_the_present_position(make) -> None:
     assert np.allclose(targets(env), before + 0.1, atol=1e-12)
 
 
+def test_errors_name_the_alias_that_the_config_names(make) -> None:
+    """On the way without a shape too: its curricula read the parameters that the alias has."""
+    spec = make(actions={"arm": arm()}).action_manager.terms["arm"].spec
+    assert spec.label == "action term 'joint_position'"
+    assert spec.place.endswith(":JointAction as joint_position")
+
+
 def test_terms_own_consecutive_slices(make) -> None:
     env = make(
         actions={

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
-from embodichain.lab.gym.envs.managers import RewardManager, check_shapes
+from embodichain.lab.gym.envs.managers import RewardManager, check_values
 
 WRONG = {"func": lambda env, obs, action, info: torch.zeros(env.num_envs, 1)}
 
@@ -37,7 +37,7 @@ def test_it_leaves_no_trace(make) -> None:
         env = make(**sections)
         obs, _ = env.reset(seed=1)
         if look:
-            check_shapes(env, obs)
+            check_values(env, obs)
         _, reward, _, _, info = env.step(env.robot.get_qpos(target=True))
         found.append(np.stack([reward, info["episode_sums"]["r"], info["metrics"]["m"]]))
     assert np.array_equal(found[0], found[1])
@@ -47,7 +47,7 @@ def test_it_leaves_no_trace(make) -> None:
 def test_without_terms_nothing_is_called(make) -> None:
     env = make()
     assert not len(env.reward_manager)
-    check_shapes(env, None)
+    check_values(env, None)
 
 
 def test_each_manager_checks_its_first_call(make) -> None:

@@ -241,7 +241,8 @@ class RandomizePose(Term):
         if position_range is not None:
             shift: Any = 0.0
             if relative_position and relative_to is None:
-                # Added to the bounds, so that what is drawn and logged is the position.
+                # Added to the bounds, so that what is drawn and logged is the position. With
+                # `relative_to` the log has the offset instead: the other position is not known yet.
                 shift = np.asarray(asset.index.pos0, np.float64)
             low, high = (np.asarray(bound) + shift for bound in position_range)
             self._position = Uniform("position", low, high)
@@ -252,7 +253,7 @@ class RandomizePose(Term):
         """Draw and write the poses of these environments."""
         quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
         quat: Floats | None = quat0
-        if self._rotation is None and self._has_orientation(quat0, env_ids):
+        if self._rotation is None and self._may_skip_orientation(quat0, env_ids):
             quat = None
         pos = self._pos0[: len(quat0)]
         if self._position is not None:
@@ -272,11 +273,11 @@ class RandomizePose(Term):
         if self._steps > 0:
             self._asset.engine.step(self._steps, env_ids)
 
-    def _has_orientation(self, quat: Floats, env_ids: EnvIndex | None) -> bool:
-        """Whether the orientations are already set: a write would only enlarge the log.
+    def _may_skip_orientation(self, quat: Floats, env_ids: EnvIndex | None) -> bool:
+        """Whether these orientations need not be written, because the object has them.
 
-        Results are the same either way. Without a listener there is no log, and comparing would
-        take longer than writing.
+        Results are the same either way; the write would only enlarge the log. Without a listener
+        there is no log, and the answer is no: comparing would take longer than writing.
         """
         if self._stop is not None or not self._asset.engine.listeners or not is_host(quat):
             return False
