@@ -90,7 +90,7 @@ def page_of(folder: Path) -> str:
         "curves": curves,
         "training": _training(folder, config.get("policy")),
         "rewards": _rewards(summary, evaluation),
-        "episodes": [_episode_row(episode) for episode in episodes[:_MOST_EPISODES]],
+        "episodes": _episode_rows(episodes[:_MOST_EPISODES]),
         "more_episodes": max(len(episodes) - _MOST_EPISODES, 0),
         "commands": _commands(folder, kind, task, config, has_log=log is not None),
         "log": _log_facts(log),
@@ -131,6 +131,24 @@ def _notes(outcome: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     for path, text in recorded_texts(config):
         notes.append(f"from a variable of the environment: {path}: {shown(text)}")
     return notes
+
+
+def _episode_rows(episodes: Sequence[LogEpisode]) -> list[dict[str, str]]:
+    """The cells of episodes of the log; what was drawn for them if it is known of any."""
+    rows = [_episode_row(episode) for episode in episodes]
+    if any(episode.drawn for episode in episodes):
+        for row, episode in zip(rows, episodes, strict=True):
+            row["drawn"] = _drawn_text(episode.drawn)
+    return rows
+
+
+def _drawn_text(drawn: Mapping[str, Sequence[float]]) -> str:
+    """``place_cube.position 0.58 0.14 0.05; friction.friction 0.9``."""
+    draws = []
+    for name, numbers in drawn.items():
+        values = " ".join(f"{value:.4g}" for value in numbers)
+        draws.append(f"{name} {values}")
+    return "; ".join(draws)
 
 
 def _episode_row(episode: LogEpisode) -> dict[str, str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,6 +60,7 @@ class Episode:
         env: The environment in it.
         episode: Number of the episode in its environment.
         first_step: First control step in the log.
+        drawn: What was drawn when it began, see `LogEpisode.drawn`.
     """
 
     task: str
@@ -75,6 +76,7 @@ class Episode:
     env: int
     episode: int
     first_step: int
+    drawn: Mapping[str, list[float]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Number of control steps T."""
@@ -329,4 +331,5 @@ def _make_episode(
         env=env,
         episode=episode.episode,
         first_step=episode.first_step,
+        drawn=episode.drawn,
     )

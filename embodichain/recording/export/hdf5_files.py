@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -132,6 +132,18 @@ def write_instruction(demo: Any, log: RecordedLog) -> None:
     instruction = instruction_of(log)
     demo.attrs["ep_meta"] = json.dumps({"lang": instruction})
     demo.attrs["instruction"] = instruction
+
+
+def write_drawn(demo: Any, drawn: Mapping[str, Sequence[float]]) -> None:
+    """Write what was drawn for an episode: attributes of the group ``drawn``, one for each draw.
+
+    Without draws there is no group.
+    """
+    if not drawn:
+        return
+    group = demo.create_group("drawn")
+    for name, numbers in drawn.items():
+        group.attrs[name] = np.array(numbers, np.float64)
 
 
 def write_action_attributes(actions: Any, log: RecordedLog) -> None:

@@ -10,6 +10,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -92,22 +93,26 @@ class Source(NamedTuple):
         episode: Its episode in the log.
         first_step: The control step of the log in which the episode begins.
         log: Name of the log's file; None where all episodes are of one log.
+        drawn: What was drawn when it began, see `LogEpisode.drawn`.
     """
 
     env: int
     episode: int
     first_step: int
     log: str | None = None
+    drawn: Mapping[str, list[float]] = MappingProxyType({})
 
-    def to_dict(self) -> dict[str, int | str]:
+    def to_dict(self) -> dict[str, Any]:
         """Its columns in the table of episodes."""
-        columns: dict[str, int | str] = {
+        columns: dict[str, Any] = {
             "source/env": self.env,
             "source/episode": self.episode,
             "source/first_step": self.first_step,
         }
         if self.log is not None:
             columns["source/log"] = self.log
+        for name, numbers in self.drawn.items():
+            columns[f"drawn/{name}"] = list(numbers)
         return columns
 
 
@@ -323,8 +328,17 @@ class LeRobotWriter:
     def _write_episodes(self) -> None:
         """Write the table of episodes, with their statistics."""
         table = []
+        # pyarrow takes the columns of the first row: a draw may be missing in some episodes.
+        columns: dict[str, None] = {}
+        for row in self._rows:
+            columns.update(dict.fromkeys(row))
         for row, episode_stats in zip(self._rows, self._stats, strict=True):
-            entry = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0, **row}
+            entry = {
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+                **columns,
+                **row,
+            }
             for key, stats in episode_stats.items():
                 for name, values in stats.items():
                     entry[f"stats/{key}/{name}"] = values.tolist()

@@ -15,7 +15,15 @@ from embodichain.recording.read.episodes import LogEpisode
 from embodichain.recording.read.playback import Playback, Span, Stretch
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["Demonstration", "Part", "about", "demonstrations", "poses", "span_of_part"]
+__all__ = [
+    "Demonstration",
+    "Part",
+    "about",
+    "demonstrations",
+    "episodes_with_draws",
+    "poses",
+    "span_of_part",
+]
 
 _log = logging.getLogger(__name__)
 
@@ -97,6 +105,11 @@ def about(log: Log) -> dict[str, str]:
         "complete": str(log.complete).lower(),
         "quaternions": "wxyz",
     }
+
+
+def episodes_with_draws(log: Log, part: Part) -> list[LogEpisode]:
+    """The episodes of a part for which the log has draws: those that ended, by environment."""
+    return [episode for episode in log.episodes if episode.drawn and part.steps_of(episode)]
 
 
 def demonstrations(log: Log, part: Part) -> list[Demonstration]:

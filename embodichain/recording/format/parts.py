@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.recording.format.messages.draws import EpisodeDraws
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text_at
 
@@ -79,6 +80,7 @@ class LogPlace:
         episodes: (N,) episodes in progress.
         returns: (N,) their sums of rewards so far.
         lengths: (N,) their control steps so far.
+        draws: What was drawn for them; None if that is not known.
     """
 
     log_id: str
@@ -89,6 +91,7 @@ class LogPlace:
     episodes: NDArray[np.int64]
     returns: NDArray[np.float64]
     lengths: NDArray[np.int64]
+    draws: EpisodeDraws | None = None
 
 
 class Manifest:

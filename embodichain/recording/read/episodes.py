@@ -41,6 +41,10 @@ class LogEpisode:
             if it reached the time limit or the log ended first.
         rewards: Term to its weighted sum over the episode; empty if the log ended first.
         metrics: Metric to its value at the episode's end; empty if the log ended first.
+        drawn: What was drawn when it began: ``TERM.NAME`` to the numbers of the last time that an
+            event of mode `reset` or `startup` acted on the environment, and
+            ``observations.TERM.delay`` and ``actions.TERM.delay`` where a delay is drawn; empty if
+            the log ended first, or an older version wrote it.
         counted: Whether it is part of the run's results: `run` and `eval` count the first episodes
             of each environment, `collect` those that it lists as success or failure; None if the
             log does not say, as one of a user's program or of an older version.
@@ -57,6 +61,7 @@ class LogEpisode:
     reasons: tuple[str, ...] = ()
     rewards: Mapping[str, float] = field(default_factory=dict)
     metrics: Mapping[str, float] = field(default_factory=dict)
+    drawn: Mapping[str, list[float]] = field(default_factory=dict)
     counted: bool | None = None
 
     @property
@@ -82,6 +87,7 @@ def decode_ends(data: bytes | memoryview) -> list[LogEpisode]:
     reasons = _rows(message.reason, _flags(message.reasons), count)
     rewards = _rows(message.reward_term, message.reward_sums, count)
     metrics = _rows(message.metric, message.metrics, count)
+    drawn = _draws(message, count)
     success: list[bool | None] = [None] * count
     if message.success:
         success = list(_flags(message.success))
@@ -110,6 +116,7 @@ def decode_ends(data: bytes | memoryview) -> list[LogEpisode]:
             reasons=tuple(name for name, ended_it in reasons[i].items() if ended_it),
             rewards=rewards[i],
             metrics=metrics[i],
+            drawn=drawn[i],
         )
         for i in range(count)
     ]
@@ -128,6 +135,32 @@ def _rows(names: Sequence[str], values: Sequence[Any], count: int) -> list[dict[
     for index in range(count):
         row = values[index * width : (index + 1) * width]
         rows.append(dict(zip(names, row, strict=True)))
+    return rows
+
+
+def _draws(message: Any, count: int) -> list[dict[str, list[float]]]:
+    """What was drawn for each of some episodes: name to its numbers."""
+    names = message.draw
+    widths = message.draw_width
+    values = message.drawn
+    was_drawn = message.was_drawn
+    total = sum(widths)
+    if (
+        len(widths) != len(names)
+        or len(values) != count * total
+        or len(was_drawn) != count * len(names)
+    ):
+        raise DamageError(f"{len(values)} numbers of {len(names)} draws in {count} episodes")
+    rows: list[dict[str, list[float]]] = []
+    start = 0
+    for index in range(count):
+        row: dict[str, list[float]] = {}
+        flags = was_drawn[index * len(names) : (index + 1) * len(names)]
+        for name, width, flag in zip(names, widths, flags, strict=True):
+            if flag:
+                row[name] = list(values[start : start + width])
+            start += width
+        rows.append(row)
     return rows
 
 
@@ -197,5 +230,6 @@ def _in_steps(data: LogArrays, ended: Mapping[tuple[int, int], LogEpisode]) -> I
                     reasons=end.reasons,
                     rewards=end.rewards,
                     metrics=end.metrics,
+                    drawn=end.drawn,
                 )
             yield episode

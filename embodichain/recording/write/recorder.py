@@ -14,11 +14,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gymnasium.vector import AutoresetMode
+
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import PhysicsEvent, Write
 from embodichain.recording.format.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.format.header import check_keyframes, header_of
 from embodichain.recording.format.messages.columns import Moved
+from embodichain.recording.format.messages.draws import Drawn, EpisodeDraws
 from embodichain.recording.format.messages.episodes import Ends
 from embodichain.recording.format.options import RecordOptions, check_options
 from embodichain.recording.format.parts import LogPlace
@@ -175,6 +178,11 @@ class McapRecorder(StepObserver):
         self._gate = EpisodeGate(options.every, counted_env=next(iter(options.view_envs), 0))
         self._encoder = CallEncoder(engine, Moved(header.moved), hashes=header.keyframe_every > 0)
         self._starts = _StartSchedule(header.keyframe_every)
+        if place is not None and place.draws is not None:
+            self._draws = place.draws.copy()
+        else:
+            # Startup events act before observers are attached; other classes may have none.
+            self._draws = EpisodeDraws(env.num_envs, getattr(env, "startup_draws", None))
 
         layout = foxglove_layout(env, options.view_envs, _image_topics(env, options))
         attachments = attachments_of(mjb, env.sim.scene.spec, config, overrides, layout)
@@ -241,15 +249,22 @@ class McapRecorder(StepObserver):
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """Record that a term of the event manager fired, and the values it drew."""
+        self._draws.add(event)
+        self._record_event(event)
+
+    def _record_event(self, event: EventRecord) -> None:
+        """Record an event now, or when recording resumes."""
         if not self._gate.open:
             self._gate.defer(event)
             return
         self._views.scenes.on_event(event)
-        if self._records(event.env_ids):
+        # A delay is drawn by no event: it stands in the message about the episode's end only.
+        if event.mode != "delay" and self._records(event.env_ids):
             self._buffer.add(self._encoder.encode_event(event))
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIds) -> None:
         """Update the views after a reset; start or pause recording (`record.every`)."""
+        self._draws.end_reset()
         was_open = self._gate.open
         self._views.on_reset(env_ids, recorded=was_open)
         if self._options.every == 1:  # the gate is never closed
@@ -268,7 +283,7 @@ class McapRecorder(StepObserver):
         ends = None
         # Most steps end no episode. Searching the bytes is 10 times faster than `any`.
         if 1 in step.terminated.tobytes() or 1 in step.truncated.tobytes():
-            ends = Ends.of(step, env.termination_manager.values, judged=env.judges_success)
+            ends = self._ends_of(env, step)
         if self._options.every == 1:
             self._record_step(step, ends)
             self._gate.in_step = False
@@ -277,6 +292,15 @@ class McapRecorder(StepObserver):
                 self._record_or_skip_step(env, step, ends)
         if self._gate.open:
             self._write_when_due()
+
+    def _ends_of(self, env: ObservedEnv, step: StepRecord) -> Ends | None:
+        """The episodes that end in a step; None if there is none."""
+
+        def draws(env_ids: EnvIds) -> Drawn:
+            return self._draws.of_ended(env_ids, were_reset=_resets_in_step(env))
+
+        terms = env.termination_manager.values
+        return Ends.of(step, terms, judged=env.judges_success, draws=draws)
 
     def _record_step(self, step: StepRecord, ends: Ends | None) -> None:
         number = self._buffer.number
@@ -315,7 +339,7 @@ class McapRecorder(StepObserver):
                 self._write_start()
             self._views.show_again()
             for event in deferred:
-                self.on_event(env, event)
+                self._record_event(event)
 
     # -- writing -----------------------------------------------------------------------------------
 
@@ -349,7 +373,7 @@ class McapRecorder(StepObserver):
         with self._writing.writes():
             self._write_steps()
             self._roll()
-        return self._log.place(self._buffer.number)
+        return replace(self._log.place(self._buffer.number), draws=self._draws.copy())
 
     def _write_steps(self) -> None:
         self._starts.bytes_since += self._log.write(self._buffer.take_steps())
@@ -442,6 +466,13 @@ class McapRecorder(StepObserver):
 
 def _do_nothing() -> None:
     pass
+
+
+def _resets_in_step(env: ObservedEnv) -> bool:
+    """Whether an environment is reset in the step that ends its episode, as by default."""
+    metadata = getattr(env, "metadata", {})
+    mode = metadata.get("autoreset_mode", AutoresetMode.SAME_STEP)
+    return mode is AutoresetMode.SAME_STEP
 
 
 def _checked_quota(quota: Sequence[int] | None, num_envs: int) -> tuple[int, ...]:

@@ -249,7 +249,7 @@ def _inspect(path: Path, options: ReplayOptions) -> int:
             "messages": summary.messages,
             "duration_s": summary.duration_s,
             "mean_reward": summary.mean_reward,
-            "episodes": [_row(episode) for episode in episodes],
+            "episodes": [{**_row(episode), "drawn": episode.drawn} for episode in episodes],
         }
         print_json(facts)
     elif not options.quiet:

@@ -1133,6 +1133,18 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     # -- random numbers ------------------------------------------------------------------------
 
     @property
+    def startup_draws(self) -> dict[str, dict[str, NDArray[Any]]]:
+        """Startup event -> what it drew last: (N, ...) by name, on the host.
+
+        Observers are attached after startup events; a recorder reads their draws here.
+        """
+        host = self.arrays.host
+        return {
+            term: {name: host(values) for name, values in drawn.items()}
+            for term, drawn in self.event_manager.startup_draws.items()
+        }
+
+    @property
     def seed_value(self) -> int:
         """The seed in use."""
         return self.streams.seed

@@ -130,11 +130,12 @@ class ObservedEnv(Protocol):
 
 
 class EventRecord(NamedTuple):
-    """A term of the event manager has fired, or a command was drawn.
+    """A term of the event manager has fired, or a command or a delay was drawn.
 
     Attributes:
-        term: The term's name in the config.
-        mode: ``startup``, ``reset`` or ``interval``; ``command`` for a command.
+        term: The term's name in the config; of a delay ``observations.NAME`` or ``actions.NAME``.
+        mode: ``startup``, ``reset`` or ``interval``; ``command`` for a command, ``delay`` for a
+            delay that is drawn for each episode.
         env_ids: (n,) environments in which it fired, or None for all N.
         drawn: Its random draws by name, each (n, ...); empty if there are none.
     """

@@ -81,6 +81,7 @@ def write_episodes(data: DataSet, path: Path) -> None:
                 episode=episode.episode,
                 first_step=episode.first_step,
                 log=episode.path.name,
+                drawn=episode.drawn,
             )
             writer.add(
                 _values(data, episode, parts),

@@ -22,6 +22,7 @@ from embodichain.recording.export.hdf5_files import (
     describe_root,
     new_hdf5,
     write_action_attributes,
+    write_drawn,
     write_instruction,
 )
 from embodichain.recording.export.meaning import require_unique
@@ -68,6 +69,7 @@ def write_episodes(data: DataSet, path: Path) -> None:
                 demo.attrs["num_samples"] = len(episode)
                 models.add(demo, episode_log)
                 write_instruction(demo, episode_log)
+                write_drawn(demo, episode.drawn)
                 demo.attrs["success"] = bool(episode.success)
                 demo.attrs["log"] = episode.path.name
                 demo.attrs["env"] = episode.env

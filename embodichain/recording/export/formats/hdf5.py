@@ -16,6 +16,7 @@ from embodichain.recording.export.hdf5_files import (
     describe_root,
     new_hdf5,
     write_action_attributes,
+    write_drawn,
     write_instruction,
 )
 from embodichain.recording.export.log_parts import Demonstration, Part, about, demonstrations
@@ -77,6 +78,7 @@ def write_hdf5(log: Log, part: Part, path: Path) -> None:
             group.attrs.update(env=episode.env, episode=episode.episode)
             models.add(group, log)
             write_instruction(group, log)
+            write_drawn(group, episode.drawn)
             _write_arrays(group, data)
             write_action_attributes(group["actions"], log)
             if renderer is not None:

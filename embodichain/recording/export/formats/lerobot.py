@@ -106,6 +106,7 @@ def write_lerobot(log: Log, part: Part, path: Path) -> None:
                 env=episode.env,
                 episode=episode.episode,
                 first_step=demo.steps.start,
+                drawn=episode.drawn,
             )
             writer.add(values, source, task=instruction, pictures=pictures)
         writer.finish()

@@ -2,10 +2,12 @@
 
 For each environment ``/env_I/joint_states`` and ``/env_I/robot_description``; one ``/tf``. Frames
 and links are named ``env_I/uid/link``; their parent is ``env_I``. rosbags has the message types.
+The bag's metadata ``drawn`` has what was drawn for each episode that ended.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +18,7 @@ import numpy as np
 
 from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.export.format_register import log_format, required
-from embodichain.recording.export.log_parts import Part, poses
+from embodichain.recording.export.log_parts import Part, episodes_with_draws, poses
 from embodichain.recording.format.container.mcap_writer import McapWriter
 from embodichain.recording.read.api import Log
 from embodichain.recording.views.channels import frame_names, scalar_joints
@@ -57,7 +59,20 @@ def write_ros2(log: Log, part: Part, path: Path) -> None:
         # Each iteration writes one control step of each environment, so that messages are in order.
         for _ in zip(*writers, strict=True):
             pass
+        drawn = _drawn_text(log, part)
+        if drawn:
+            bag.writer.metadata("drawn", drawn)
         bag.writer.finish()
+
+
+def _drawn_text(log: Log, part: Part) -> dict[str, str]:
+    """``env_I/episode_K`` -> what was drawn for the episode, as JSON."""
+    envs = part.envs_of(log)
+    return {
+        f"env_{episode.env}/episode_{episode.episode}": json.dumps(episode.drawn)
+        for episode in episodes_with_draws(log, part)
+        if episode.env in envs
+    }
 
 
 class _Bag:

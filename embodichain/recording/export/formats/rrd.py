@@ -2,8 +2,8 @@
 
 Entities: ``/world/env_I/UID/LINK``, and below ``/env_I``: ``joint_positions``,
 ``joint_velocities``, ``actions``, ``reward``, ``metrics`` (of viewed environments),
-``episode/return``, ``episode/length``, ``log``, ``camera/NAME`` (pictures as JPEG). The file
-contains the layout that shows them.
+``episode/return``, ``episode/length``, ``drawn/TERM.NAME`` (at the first step of an episode),
+``log``, ``camera/NAME`` (pictures as JPEG). The file contains the layout that shows them.
 """
 
 from __future__ import annotations
@@ -288,6 +288,7 @@ def _send_episodes_and_events(recording: _Recording, log: Log, env: int, steps: 
     lengths = np.array([episode.steps for episode in ended])
     recording.curves(f"{root}/episode/return", last_steps, returns[:, None])
     recording.curves(f"{root}/episode/length", last_steps, lengths[:, None])
+    _send_draws(recording, f"{root}/drawn", ended)
 
     lines = [*_event_lines(log, env, steps), *map(_ending_line, ended)]
     if lines:
@@ -296,6 +297,19 @@ def _send_episodes_and_events(recording: _Recording, log: Log, env: int, steps: 
         line_steps = np.array([line.step for line in lines], np.int64)
         columns = recording.rr.TextLog.columns(text=texts, level=["INFO"] * len(texts))
         recording.columns(f"{root}/log", line_steps, columns)
+
+
+def _send_draws(recording: _Recording, root: str, ended: Sequence[LogEpisode]) -> None:
+    """Send what was drawn for episodes, each draw as curves with a point at their first steps."""
+    episodes: dict[tuple[str, int], list[LogEpisode]] = {}  # by the draw and its width
+    for episode in ended:
+        for name, numbers in episode.drawn.items():
+            episodes.setdefault((name, len(numbers)), []).append(episode)
+    for (name, _), of_draw in episodes.items():
+        path = f"{root}/{recording.rr.escape_entity_path_part(name)}"
+        first_steps = np.array([episode.first_step for episode in of_draw], np.int64)
+        values = np.array([episode.drawn[name] for episode in of_draw])
+        recording.curves(path, first_steps, values)
 
 
 def _event_lines(log: Log, env: int, steps: range) -> Iterator[_Line]:

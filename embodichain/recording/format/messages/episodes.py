@@ -1,13 +1,13 @@
 """Messages about episodes: `embodichain.Episodes`, how they ended, and `embodichain.Counted`.
 
 The channel `/episode` has one message for each control step in which episodes of any environment
-ended: returns, sums of each reward term, metrics, and the reasons. The channel `/counted` lists the
-episodes that make up the results of a `collect`.
+ended: returns, sums of each reward term, metrics, the reasons, and what was drawn for them. The
+channel `/counted` lists the episodes that make up the results of a `collect`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import StepRecord
+from embodichain.recording.format.messages.draws import Drawn
 from embodichain.recording.format.messages.schema import message_class
 
 __all__ = [
@@ -56,6 +57,7 @@ class Ends:
         reasons: Termination terms that fired, success, fail, diverged: (n, K) bool.
         rewards: Weighted sums over the episode by reward term: (n, K).
         metrics: Metrics at the episode's end: (n, K).
+        drawn: What was drawn for the episodes.
     """
 
     env_ids: NDArray[np.int64]
@@ -65,15 +67,25 @@ class Ends:
     reasons: Table
     rewards: Table
     metrics: Table
+    drawn: Drawn
 
     @classmethod
-    def of(cls, step: StepRecord, terms: Mapping[str, Any], *, judged: bool) -> Ends | None:
+    def of(
+        cls,
+        step: StepRecord,
+        terms: Mapping[str, Any],
+        *,
+        judged: bool,
+        draws: Callable[[NDArray[np.int64]], Drawn] | None = None,
+    ) -> Ends | None:
         """The ends of a step; None if no episode ends in it.
 
         Args:
             step: The step.
             terms: Termination term to its (N,) values in this step.
             judged: Whether the task defines success.
+            draws: Called with (n,) environments, returns what was drawn for the episodes that end
+                in them; None if that is not known.
         """
         env_ids = np.flatnonzero(step.terminated | step.truncated)
         if not len(env_ids):
@@ -94,6 +106,7 @@ class Ends:
             reasons=_table(reasons, env_ids, np.bool_),
             rewards=_table(info.get("episode_sums", {}), env_ids, np.float64),
             metrics=_table(info.get("metrics", {}), env_ids, np.float64),
+            drawn=Drawn.none(len(env_ids)) if draws is None else draws(env_ids),
         )
 
 
@@ -172,6 +185,10 @@ def encode_ends(step: int, ends: Ends, sums: EpisodeSums, episode_ids: NDArray[n
         reward_sums=ends.rewards.values.ravel().tolist(),
         metric=ends.metrics.names,
         metrics=ends.metrics.values.ravel().tolist(),
+        draw=ends.drawn.names,
+        draw_width=ends.drawn.widths,
+        drawn=ends.drawn.values.ravel().tolist(),
+        was_drawn=ends.drawn.was_made.tobytes(),
     )
     data: bytes = message.SerializeToString()
     return data

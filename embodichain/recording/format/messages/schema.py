@@ -106,6 +106,11 @@ MESSAGES: Mapping[str, Sequence[str]] = {
         "repeated double reward_sums = 12",
         "repeated string metric = 13",
         "repeated double metrics = 14",
+        # Draws of events and delays: `drawn` is (n, sum of the widths), `was_drawn` (n, draws).
+        "repeated string draw = 15",
+        "repeated uint32 draw_width = 16",
+        "repeated double drawn = 17",
+        "bytes was_drawn = 18",
     ),
     # Episodes that count, where a run decides later than at their ends, one entry each.
     "Counted": (

@@ -291,8 +291,10 @@ class ActionManager(Manager[ActionTermCfg]):
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Reset terms and delays of these environments; (n,), or None for all."""
         super().reset(env_ids)
-        for pipeline in self._pipelines.values():
-            pipeline.reset(env_ids)
+        for name, pipeline in self._pipelines.items():
+            delays = pipeline.reset(env_ids)
+            if delays is not None and self.env.observers:
+                self.env.log_event(f"actions.{name}", "delay", env_ids, {"delay": delays})
 
     def state_dict(self) -> dict[str, Any]:
         """State of terms, and delayed actions (copies)."""

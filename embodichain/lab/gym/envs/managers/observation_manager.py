@@ -120,8 +120,11 @@ class ObservationEntry:
 
     def restart(self, env_ids: EnvIndex | None) -> None:
         """Begin the episode of these environments; (n,), or None for all."""
-        if self._delay is not None:
-            self._delay.restart(env_ids)
+        if self._delay is None:
+            return
+        delays = self._delay.restart(env_ids)
+        if delays is not None and self._env.observers:
+            self._env.log_event(self.key, "delay", env_ids, {"delay": delays})
 
     def _prepare(self, value: Any) -> None:
         """Check the shape of the first value, and build the scale and the noise that fit it."""

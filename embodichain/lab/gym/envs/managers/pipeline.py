@@ -253,14 +253,22 @@ class Delay:
         self.lag: NDArray[np.int64] = arrays.full(streams.num_envs, self._low, np.int64)
         self._rows = arrays.put(np.arange(streams.num_envs))
 
-    def restart(self, env_ids: EnvIndex | None) -> None:
-        """Draw the delay of a new episode; (n,) environments, or None for all."""
+    def restart(self, env_ids: EnvIndex | None) -> Floats | None:
+        """Draw the delay of a new episode.
+
+        Args:
+            env_ids: (n,) environments, or None for all.
+
+        Returns:
+            (n,) the delays in steps; None where they are not drawn.
+        """
         if self._low == self._high:
-            return
+            return None
         drawn = self._streams.uniform(self._stream, (), self._low, self._high + 1, env_ids)
         # A number just below the upper bound may round up to it.
         steps = np.minimum(drawn, self._high).astype(np.int64)
         self.lag[slice(None) if env_ids is None else env_ids] = steps
+        return steps.astype(np.float64)
 
     def __call__(
         self, value: NDArray[Any], rows: Rows, before: NDArray[Any] | None = None
@@ -333,12 +341,20 @@ class ActionPipeline:
             values = self._noise.apply(values, None)
         return tensor_of(values)
 
-    def reset(self, env_ids: EnvIndex | None) -> None:
-        """Clear the delayed actions of these environments, and draw their delays."""
+    def reset(self, env_ids: EnvIndex | None) -> Floats | None:
+        """Clear the delayed actions of these environments, and draw their delays.
+
+        Args:
+            env_ids: (n,) environments, or None for all.
+
+        Returns:
+            (n,) the delays in steps; None where they are not drawn.
+        """
         self._fresh = self._fresh.copy()
         self._fresh[slice(None) if env_ids is None else env_ids] = True
-        if self._delay is not None:
-            self._delay.restart(env_ids)
+        if self._delay is None:
+            return None
+        return self._delay.restart(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
         """Delayed actions, and delays (copies)."""

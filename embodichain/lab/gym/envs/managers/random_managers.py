@@ -253,10 +253,15 @@ class EventManager(RandomManager[EventCfg]):
     Args:
         env: The environment; its scene is complete.
         cfgs: Name -> event.
+
+    Attributes:
+        startup_draws: Startup event -> its draws (N, ...) by name. Observers do not see them: they
+            are attached later.
     """
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, EventCfg]) -> None:
         self._intervals: list[_Interval] = []
+        self.startup_draws: dict[str, Mapping[str, NDArray[Any]]] = {}
         super().__init__(env, "events", "event", cfgs)
         self._intervals = [_Interval(env, term) for term in self._by_mode["interval"]]
         self._started = False
@@ -342,6 +347,8 @@ class EventManager(RandomManager[EventCfg]):
     def _run(self, term: BuiltTerm[EventCfg], mode: str, env_ids: EnvIndex | None) -> None:
         self._strength = term.cfg.strength
         self._call(term, mode, env_ids, self.env, env_ids)
+        if mode == "startup":
+            self.startup_draws[term.name] = self._drawn
 
     def state_dict(self) -> dict[str, Any]:
         """Timers, and the state of terms that are classes (copies)."""
