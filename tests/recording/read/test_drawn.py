@@ -13,8 +13,8 @@ from embodichain import recording
 from embodichain.cli import main
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.recording import McapRecorder, RecordOptions, verify
+from embodichain.recording.format.draws import EpisodeDraws
 from embodichain.recording.format.log_error import DamageError
-from embodichain.recording.format.messages.draws import EpisodeDraws
 from embodichain.recording.format.messages.schema import message_class
 from embodichain.recording.read.episodes import decode_ends
 from tests.recording.runs import messages
