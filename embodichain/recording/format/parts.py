@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.format.messages.draws import EpisodeDraws
+from embodichain.recording.format.draws import EpisodeDraws
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text_at
 

@@ -19,6 +19,7 @@ from gymnasium.vector import AutoresetMode
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import PhysicsEvent, Write
 from embodichain.recording.format.attachments import attachments_of, model_bytes, model_digest
+from embodichain.recording.format.draws import Drawn, EpisodeDraws
 from embodichain.recording.format.header import check_keyframes, header_of
 from embodichain.recording.format.messages.columns import Moved
 from embodichain.recording.format.messages.draws import Drawn, EpisodeDraws

@@ -301,9 +301,7 @@ def _send_episodes_and_events(recording: _Recording, log: Log, env: int, steps: 
 
 def _send_draws(recording: _Recording, root: str, ended: Sequence[LogEpisode]) -> None:
     """Send what was drawn for episodes, each draw as curves with a point at their first steps."""
-    episodes: dict[
-        tuple[str, int], list[LogEpisode]
-    ] = {}  # by the draw and how many numbers it has
+    episodes: dict[tuple[str, int], list[LogEpisode]] = {}  # by the draw and its width
     for episode in ended:
         for name, numbers in episode.drawn.items():
             episodes.setdefault((name, len(numbers)), []).append(episode)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import StepRecord
-from embodichain.recording.format.messages.draws import Drawn
+from embodichain.recording.format.draws import Drawn
 from embodichain.recording.format.messages.schema import message_class
 
 __all__ = [

@@ -420,10 +420,12 @@ class FieldDraw:
     def __init__(self, fields: Mapping[str, DrawnField], distribution: Distribution) -> None:
         if not fields:
             raise ConfigError([Problem("", "randomizes nothing: give it at least one range")])
+        self._names = list(fields)
         self._fields = list(fields.values())
         self._is_normal = distribution == "gaussian"
         self._is_log = distribution == "log_uniform"
-        # Logarithms are logged as they are drawn: `strength` acts on the values.
+        # Logarithms are logged as they are drawn: `strength` acts on the values, which are logged
+        # too if it does.
         self._weaken = {} if self._is_log else {name: f.weaken for name, f in fields.items()}
         # The columns of each field in what is drawn.
         self._columns: dict[str, slice] = {}
@@ -461,5 +463,9 @@ class FieldDraw:
         values = [field.apply(factors[:, columns]) for field, columns in pairs]
         if draws.strength == 1.0:
             return values
-        fields_and_values = zip(self._fields, values, strict=True)
-        return [field.weaken(value, draws.strength) for field, value in fields_and_values]
+        weakened: list[Floats] = []
+        for name, field, value in zip(self._names, self._fields, values, strict=True):
+            result = field.weaken(value, draws.strength)
+            draws.log_draw(name, result)
+            weakened.append(result)
+        return weakened
