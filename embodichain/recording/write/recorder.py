@@ -291,7 +291,7 @@ class McapRecorder(StepObserver):
         else:
             with self._writing.writes():
                 number = self._buffer.number
-                self._log.add_rewards(number, step.reward, step.episode_ids, ends)
+                self._log.add_rewards(number, step.reward[None], step.episode_ids, ends)
                 self._buffer.skip_step()
         deferred = self._gate.switch()
         self._pause_or_resume(env, was_open, deferred)
