@@ -127,7 +127,8 @@ class Joints:
             time_ns: Its time.
             row: (nstate,) state: positions (rad or m) and velocities (rad/s or m/s) are read.
         """
-        self._message.timestamp.FromNanoseconds(time_ns)
+        timestamp = self._message.timestamp
+        timestamp.seconds, timestamp.nanos = divmod(time_ns, 1_000_000_000)
         positions = row[self._qpos].tolist()
         velocities = row[self._qvel].tolist()
         for joint, qpos, qvel in zip(self._joints, positions, velocities, strict=True):
@@ -144,17 +145,13 @@ class Scalars:
 
     Args:
         step: Any step of the run.
-        env_ids: Viewed environments.
         commands: Names of the columns of each command, and its (N, columns) values, not copied.
     """
 
-    def __init__(
-        self, step: StepRecord, env_ids: Sequence[int], commands: Sequence[tuple[list[str], F64]]
-    ) -> None:
-        self._ids = env_ids
+    def __init__(self, step: StepRecord, commands: Sequence[tuple[list[str], F64]]) -> None:
         self._commands = [values.T for _, values in commands]
         self._counts = [key for key in _COUNTS if key in step.info]
-        self._terms = {key: list(step.info.get(key, {})) for key, _ in _GROUPS}
+        self._terms = {key: tuple(step.info.get(key, {})) for key, _ in _GROUPS}
         titles = ["reward", "terminated", "truncated", *self._counts]
         for key, prefix in _GROUPS:
             titles += [f"{prefix}_{name}" for name in self._terms[key]]
@@ -169,59 +166,65 @@ class Scalars:
         """Schema of the message."""
         return scalars_descriptor_set(METRICS, self.names)
 
-    def of(self, step: StepRecord, weights: Mapping[str, float]) -> list[list[float]]:
-        """The values of each viewed environment in a step, in the order of `names`.
+    def sample(self, step: StepRecord) -> list[NDArray[Any]]:
+        """The scalars of a step for `encode`; later changes of the step's arrays do not matter.
 
-        Args:
-            step: The step.
-            weights: Weights of the reward terms, by which their values are multiplied.
+        Returns:
+            All scalars in the order of `names`, as (N,) arrays, or (K, N) arrays of K scalars.
 
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
+        info = step.info
+        sample = [step.reward.copy(), step.terminated.copy(), step.truncated.copy()]
         try:
-            blocks = self._blocks(step)
+            for key in self._counts:
+                sample.append(_array(info[key]).copy())
+            for key, names in self._terms.items():
+                sample += _values_of_terms(info.get(key, {}), names)
         except KeyError as error:
             raise ValueError(
                 f"a step's scalars are not those of the first one: {self.names}"
             ) from error
-        factors = [weights.get(name, 1.0) for name in self._terms["rewards"]]
-        first_reward = 3 + len(self._counts)  # after reward, terminated, truncated and counts
-        rows = []
-        for env_id in self._ids:
-            values: list[float] = []
-            for block in blocks:
-                if block.ndim == 1:
-                    values.append(block.item(env_id))
-                else:
-                    values += block[:, env_id].tolist()
-            for index, weight in enumerate(factors, first_reward):
-                values[index] *= weight
-            rows.append(values)
-        return rows
+        for values in self._commands:
+            sample.append(values.copy())
+        return sample
 
-    def encode(self, values: Sequence[float]) -> bytes:
-        """Return the serialized message of values that `of` returned."""
+    def encode(
+        self, sample: Sequence[NDArray[Any]], env_id: int, weights: Mapping[str, float]
+    ) -> bytes:
+        """Return the serialized message of an environment.
+
+        Args:
+            sample: What `sample` returned.
+            env_id: The environment.
+            weights: Weights of the reward terms, by which their values are multiplied.
+        """
+        values: list[float] = []
+        for block in sample:
+            if block.ndim == 1:
+                values.append(block.item(env_id))
+            else:
+                values += block[:, env_id].tolist()
+        first_reward = 3 + len(self._counts)  # after reward, terminated, truncated and counts
+        for index, name in enumerate(self._terms["rewards"], first_reward):
+            values[index] *= weights.get(name, 1.0)
         message = self._message(**dict(zip(self.names, values, strict=True)))
         data: bytes = message.SerializeToString()
         return data
 
-    def _blocks(self, step: StepRecord) -> list[NDArray[Any]]:
-        """All scalars in order, as (N,) arrays, or (K, N) arrays of K scalars."""
-        info = step.info
-        blocks: list[NDArray[Any]] = [step.reward, step.terminated, step.truncated]
-        blocks += [_array(info[key]) for key in self._counts]
-        for key, names in self._terms.items():
-            group: Mapping[str, Any] = info.get(key, {})
-            if len(group) != len(names):
-                raise KeyError(names)
-            if not names:
-                continue
-            if isinstance(group, TermRows) and list(group.names) == names:
-                blocks.append(group.rows)
-            else:
-                blocks += [_array(group[name]) for name in names]
-        return blocks + self._commands
+
+def _values_of_terms(group: Mapping[str, Any], names: Sequence[str]) -> list[NDArray[Any]]:
+    """The values of these terms: one (K, N) array if they are together, else K arrays (N,).
+
+    Raises:
+        KeyError: If there are other terms.
+    """
+    if isinstance(group, TermRows) and tuple(group.names) == names:
+        return [np.array(group.rows)] if names else []
+    if len(group) != len(names):
+        raise KeyError(names)
+    return [_array(group[name]).copy() for name in names]
 
 
 def _array(value: Any) -> NDArray[Any]:

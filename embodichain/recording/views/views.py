@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Iterable, Iterator
-from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
 import mujoco
@@ -98,6 +97,9 @@ class Views:
         scenes = Scenes(pitch_of(env) if len(self._ids) > 1 else PLANE_SIZE)
         changed = {name for name in engine.model_fields() if name.startswith(_VISIBLE_FIELDS)}
         self._viewed = {i: _ViewedEnv(engine, i, scenes, changed) for i in self._ids.tolist()}
+        self._models: list[mujoco.MjModel] = []  # of the viewed environments
+        self._models_changed = True  # since they were read
+        self._models_may_change = False
         self._data = mujoco.MjData(engine.model)
         self._frames = Frames(engine.model, list(self._viewed), places(env, self._ids.tolist()))
         self._joints = Joints(engine.model)
@@ -135,6 +137,7 @@ class Views:
             ids = None if write.env_ids is None else host_ids(write.env_ids)
             for env_id in self._viewed_of(ids):
                 self._viewed[env_id].changed.add(write.field)
+                self._models_changed = True
 
     def _viewed_of(self, env_ids: EnvIds | None) -> list[int]:
         """Which of these environments (None: all) are viewed."""
@@ -157,6 +160,24 @@ class Views:
             return
         self._last_sample = step
         time_ns = self._now()
+        scenes = self._encode_scenes(time_ns) if self._due else []
+        if self._models_changed:
+            self._read_models()
+        commands = self._commands.values_of(self._ids)
+        messages = self._encoded(time_ns, scenes, rows[self._ids], self._models, commands)
+        if self._models_may_change:
+            # Encode now: the models may be other ones when the file is written.
+            messages = iter(list(messages))
+        self._sink.send(time_ns, messages)
+
+    def _read_models(self) -> None:
+        """Read the models of the viewed environments, after a change of some of them."""
+        self._models_changed = False
+        self._models = [viewed.model for viewed in self._viewed.values()]
+        self._models_may_change = any(viewed.owns_model for viewed in self._viewed.values())
+
+    def _encode_scenes(self, time_ns: int) -> list[tuple[str, bytes]]:
+        """Encode the scenes that are due."""
         scenes = []
         for env_id, even_if_unchanged in self._due.items():
             viewed = self._viewed[env_id]
@@ -164,26 +185,26 @@ class Views:
             if scene is not None:
                 scenes.append((viewed.scene, scene))
         self._due = {}
-        models = [viewed.model for viewed in self._viewed.values()]
-        commands = self._commands.values_of(self._ids)
-        samples = chain(scenes, self._encoded(time_ns, rows[self._ids], models, commands))
-        if any(viewed.owns_model for viewed in self._viewed.values()):
-            # Encode now: models of single environments may change before the file is written.
-            self._sink.send(time_ns, list(samples))
-        else:
-            self._sink.send(time_ns, samples)
+        return scenes
 
     def _encoded(
-        self, time_ns: int, rows: F64, models: list[mujoco.MjModel], commands: list[F64]
+        self,
+        time_ns: int,
+        scenes: list[tuple[str, bytes]],
+        rows: F64,
+        models: list[mujoco.MjModel],
+        commands: list[F64],
     ) -> Iterator[tuple[str, bytes]]:
         """Encode a sample of the n viewed environments.
 
         Args:
             time_ns: Time of the sample.
+            scenes: The messages of scenes.
             rows: (n, nstate) states.
             models: The n models.
             commands: (n, columns) values of each command that is drawn.
         """
+        yield from scenes
         data = self._data
         for index, (env_id, viewed) in enumerate(self._viewed.items()):
             row = rows[index]
@@ -236,11 +257,13 @@ class Views:
             self._say_endings(step, record)
         if self._viewed and step % self._every == 0:
             scalars = self.declare(record)
-            time_ns = self._now()
+            sample = scalars.sample(record)
             weights = {} if self._rewards is None else self._rewards.weights
-            rows = zip(self._viewed.values(), scalars.of(record, weights), strict=True)
-            messages = ((viewed.metrics, scalars.encode(values)) for viewed, values in rows)
-            self._sink.send(time_ns, messages)
+            messages = (
+                (viewed.metrics, scalars.encode(sample, env_id, weights))
+                for env_id, viewed in self._viewed.items()
+            )
+            self._sink.send(self._now(), messages)
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
         diverged = record.info.get("diverged")
@@ -255,7 +278,7 @@ class Views:
     def declare(self, record: StepRecord) -> Scalars:
         """Return the run's scalars; the first call declares their channels."""
         if self._scalars is None:
-            self._scalars = Scalars(record, list(self._viewed), self._commands.scalars())
+            self._scalars = Scalars(record, self._commands.scalars())
             schema = self._scalars.descriptor_set
             for viewed in self._viewed.values():
                 self._sink.channel(viewed.metrics, f"embodichain.{METRICS}", schema)

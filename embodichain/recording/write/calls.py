@@ -58,7 +58,7 @@ class CallEncoder:
             kind = self._write_kind(write, ids, shape)
             self._write_kinds[key] = kind
         if ids is None:
-            return kind, () if values is None else (values.copy(),)
+            return kind, b"" if values is None else values.tobytes()
         return kind, (ids.copy(),) if values is None else (ids.copy(), values.copy())
 
     def _write_kind(
@@ -155,23 +155,18 @@ class CallEncoder:
         kind = self._step_kinds.get(action.shape)
         if kind is None:
             shape = reward.shape
-            arrays = (
+            kinds = (
                 ArrayKind("action", "<f8", action.shape),
                 ArrayKind("reward", "<f4", shape),
                 ArrayKind("terminated", "|b1", shape),
                 ArrayKind("truncated", "|b1", shape),
                 ArrayKind("episode_ids", "<i8", shape),
             )
-            kind = CallKind("step", arrays=arrays)
+            kind = CallKind("step", arrays=kinds)
             self._step_kinds[action.shape] = kind
-        # Copies: the caller of `env.step` may write into the arrays that it received.
-        return kind, (
-            action.tobytes(),
-            reward.tobytes(),
-            step.terminated.tobytes(),
-            step.truncated.tobytes(),
-            step.episode_ids.tobytes(),
-        )
+        # A copy: the caller of `env.step` may write into the arrays that it received.
+        arrays = (action, reward, step.terminated, step.truncated, step.episode_ids)
+        return kind, b"".join([array.tobytes() for array in arrays])
 
 
 def _float64_copy(values: Any) -> NDArray[np.float64]:

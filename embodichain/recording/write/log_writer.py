@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from embodichain.recording.format.attachments import Attachment
 from embodichain.recording.format.container.unpacking import listed
 from embodichain.recording.format.header import METADATA, METADATA_END, Header
-from embodichain.recording.format.messages.block import ArrayKind, CallKind, Recorded, pack_steps
+from embodichain.recording.format.messages.block import (
+    ArrayKind,
+    CallKind,
+    Recorded,
+    pack_steps,
+    split_arrays,
+)
 from embodichain.recording.format.messages.episodes import (
     COUNTED_TOPIC,
     EPISODE_TOPIC,
@@ -165,19 +171,19 @@ class LogWriter:
     def add_rewards(
         self,
         step: int,
-        reward: NDArray[Any],
+        rewards: NDArray[Any],
         episode_ids: NDArray[np.int64],
         ends: Ends | None,
     ) -> None:
-        """Add a control step, recorded or not, to its episodes, and write those that end in it.
+        """Add control steps, recorded or not, to their episodes, and write those that end.
 
         Args:
-            step: The control step.
-            reward: (N,) rewards.
-            episode_ids: (N,) episodes.
-            ends: The episodes that end in it.
+            step: The last of S control steps.
+            rewards: (S, N) rewards.
+            episode_ids: (N,) episodes of all of them.
+            ends: The episodes that end in the last one.
         """
-        self._sums.add(reward, episode_ids)
+        self._sums.add_steps(rewards, episode_ids)
         if ends is not None:
             data = encode_ends(step, ends, self._sums, episode_ids)
             self.file.write(EPISODE_TOPIC, self._time_of(step), data)
@@ -196,16 +202,27 @@ class LogWriter:
             first = steps[0].number
             data = pack_steps(first, [step.calls for step in steps])
             size = self.file.write(STEPS_TOPIC, self._time_of(first), data, steps[-1].number)
-        for step in steps:
-            _, (_, reward, _, _, episode_ids) = step.calls[-1]
-            self.add_rewards(
-                step.number,
-                np.frombuffer(reward, np.float32),
-                np.frombuffer(episode_ids, np.int64),
-                step.ends,
-            )
+        self._add_rewards_of(steps)
         self.views.write(self.file)
         return size
+
+    def _add_rewards_of(self, steps: Sequence[RecordedStep]) -> None:
+        """Add steps to their episodes: together, up to one in which some of them end."""
+        if not steps:
+            return
+        kind, _ = steps[0].calls[-1]
+        arrays = split_arrays(kind.arrays, [step.calls[-1][1] for step in steps])
+        _, rewards, _, _, episode_ids = (np.ascontiguousarray(array) for array in arrays)
+        rewards = rewards.view(np.float32)
+        episode_ids = episode_ids.view(np.int64)
+        has_other_episodes = (episode_ids[1:] != episode_ids[:-1]).any(axis=1).tolist()
+        first = 0
+        for index, step in enumerate(steps):
+            is_last = index + 1 == len(steps) or has_other_episodes[index]
+            if is_last or step.ends is not None:
+                end = index + 1
+                self.add_rewards(step.number, rewards[first:end], episode_ids[index], step.ends)
+                first = end
 
     def write_unfinished(self, number: int, calls: Sequence[Recorded]) -> None:
         """Write the calls after the last control step, and the viewers' messages.

@@ -22,7 +22,7 @@ from embodichain.recording.format.attachments import attachments_of, model_bytes
 from embodichain.recording.format.draws import Drawn, EpisodeDraws
 from embodichain.recording.format.header import check_keyframes, header_of
 from embodichain.recording.format.messages.columns import Moved
-from embodichain.recording.format.messages.draws import Drawn, EpisodeDraws
+from embodichain.recording.format.draws import Drawn, EpisodeDraws
 from embodichain.recording.format.messages.episodes import Ends
 from embodichain.recording.format.options import RecordOptions, check_options
 from embodichain.recording.format.parts import LogPlace
@@ -316,7 +316,7 @@ class McapRecorder(StepObserver):
         else:
             with self._writing.writes():
                 number = self._buffer.number
-                self._log.add_rewards(number, step.reward, step.episode_ids, ends)
+                self._log.add_rewards(number, step.reward[None], step.episode_ids, ends)
                 self._buffer.skip_step()
         deferred = self._gate.switch()
         self._pause_or_resume(env, was_open, deferred)

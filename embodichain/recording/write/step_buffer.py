@@ -65,7 +65,7 @@ class StepBuffer:
         number = open_step.number
         finished = RecordedStep(number, [*open_step.calls, call], ends)
         if len(self._steps) == 1:
-            size = sum(nbytes(array) for _, arrays in finished.calls for array in arrays)
+            size = sum(_size_of(call) for call in finished.calls)
             self._capacity = min(MOST_STEPS, 1 + MOST_BYTES // size)
             self._begun = time.monotonic()
         self._steps[-1:] = [finished, RecordedStep(number + 1)]
@@ -93,3 +93,11 @@ class StepBuffer:
         calls = open_step.calls
         open_step.calls = []
         return calls
+
+
+def _size_of(call: Recorded) -> int:
+    """Size in bytes of a call's arrays."""
+    _, arrays = call
+    if isinstance(arrays, bytes):
+        return len(arrays)
+    return sum(nbytes(array) for array in arrays)

@@ -127,7 +127,6 @@ class EpisodeSums:
 
     def __init__(self, num_envs: int) -> None:
         self._episodes = np.full(num_envs, -1, np.int64)
-        self._episode_bytes = self._episodes.tobytes()
         self.returns = np.zeros(num_envs)
         """(N,) sums of rewards, in the order of the steps."""
         self.lengths = np.zeros(num_envs, np.int64)
@@ -143,21 +142,24 @@ class EpisodeSums:
     ) -> None:
         """Continue with these episodes, sums and numbers, (N,) each."""
         self._episodes = episodes.copy()
-        self._episode_bytes = episodes.tobytes()
         self.returns[:] = returns
         self.lengths[:] = lengths
 
     def add(self, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
         """Add a control step: (N,) rewards, and the episodes it belongs to."""
-        episode_bytes = episode_ids.tobytes()  # comparing them is faster than comparing arrays
-        if episode_bytes != self._episode_bytes:
-            is_new = self._episodes != episode_ids
+        self.add_steps(reward[None], episode_ids)
+
+    def add_steps(self, rewards: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+        """Add S control steps: (S, N) rewards, and the (N,) episodes that all of them belong to."""
+        is_new = self._episodes != episode_ids
+        if is_new.any():
             self.returns[is_new] = 0
             self.lengths[is_new] = 0
             self._episodes = episode_ids.copy()
-            self._episode_bytes = episode_bytes
-        self.returns += reward
-        self.lengths += 1
+        # One step after the other, as if each had been added alone: `sum` may add in pairs.
+        sums = np.concatenate([self.returns[None], rewards])
+        self.returns[:] = np.add.accumulate(sums)[-1]
+        self.lengths += len(rewards)
 
 
 def encode_ends(step: int, ends: Ends, sums: EpisodeSums, episode_ids: NDArray[np.int64]) -> bytes:

@@ -60,15 +60,15 @@ class _Compared(NamedTuple):
     single: bytes | None
 
 
-def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], list[Any]]:
+def store(arrays: Sequence[tuple[str, Any]]) -> tuple[list[Place], list[Any]]:
     """Place arrays one after another.
 
     Small arrays, and those that cannot be equal to another one because of their size, are not
     looked at: they are stored as they are.
 
     Args:
-        arrays: dtype of each, and the pieces that it consists of: contiguous arrays, or bytes,
-            of equal size.
+        arrays: dtype of each, and the pieces that it consists of: a sequence of contiguous arrays
+            or bytes of equal size, or an (S, size) array of the bytes of S pieces.
 
     Returns:
         The place of each array, and the stored bytes as bytes and arrays.
@@ -81,7 +81,7 @@ def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], lis
         may_be_single = size >= _SMALLEST_COMPARED and dtype == "<f8" and _looks_single(pieces[0])
         if not may_be_single and (size < _SMALLEST_COMPARED or sizes.count(size) == 1):
             continue
-        data = b"".join(pieces)
+        data = _join(pieces)
         equal = _equal_array(compared, dtype, data)
         if equal is None:
             single = _as_single(data) if may_be_single else None
@@ -107,12 +107,16 @@ def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], lis
             places[index] = places[same_as[index]]
         elif index not in compared:
             places[index] = Place(end)
-            if memoryview(pieces[0]).nbytes < _LARGEST_JOINED:
-                stored.append(b"".join(pieces))
+            if isinstance(pieces, np.ndarray) or memoryview(pieces[0]).nbytes < _LARGEST_JOINED:
+                stored.append(_join(pieces))
             else:
                 stored += pieces
             end += sizes[index]
     return [places[index] for index in range(len(arrays))], stored
+
+
+def _join(pieces: Any) -> bytes:
+    return pieces.tobytes() if isinstance(pieces, np.ndarray) else b"".join(pieces)
 
 
 def _equal_array(compared: Mapping[int, _Compared], dtype: str, data: bytes) -> int | None:
