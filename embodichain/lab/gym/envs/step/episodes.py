@@ -26,6 +26,7 @@ __all__ = [
 ]
 
 Mask = NDArray[np.bool_]
+_ONE = np.int32(1)
 
 
 class Episodes:
@@ -71,7 +72,7 @@ class Episodes:
 
     def advance(self) -> None:
         """Count a control step of all environments."""
-        self.elapsed += 1
+        self.elapsed += _ONE
 
     @property
     def count(self) -> NDArray[np.int32]:

@@ -229,6 +229,7 @@ class StepJudge:
         self._env = env
         self._arrays = env.arrays
         self._num_envs = env.num_envs
+        self._is_on_host = not env.arrays.on_device
         self._hooks = hooks
         self._episodes = episodes
         self._actions = actions
@@ -392,6 +393,10 @@ class StepJudge:
         """(N,) environments that diverged in this step, or None; without those pending a reset."""
         self._physics = self._env.sim.engine.take_diverged()
         mask = self._physics
+        if mask is None and self._is_on_host:
+            # As almost always.
+            if all_finite(result.obs.rows) and all_finite(result.reward):
+                return None
         for bad in (bad_rows(result.obs.rows), bad_rows(result.reward)):
             if bad is not None:
                 mask = bad if mask is None else mask | bad
