@@ -176,7 +176,8 @@ class Drives:
         """Set finite position targets (n, k), clamped to the limits, in columns of ``ctrl``."""
         if joints is self.joints and ids is None and self._limits_of_drives is not None:
             low, high = self._limits_of_drives
-            clamped = np.minimum(np.maximum(target, low), high)
+            clamped = np.maximum(target, low)
+            np.minimum(clamped, high, out=clamped)
         else:
             clamped = self.limits.clamp(target, joints, ids)
         if self._mixes:

@@ -134,7 +134,11 @@ class ObservationBuffer:
             joints = self._joints
             for columns, read in self._robot_columns:
                 rows[:, columns] = read() if joints is None else read()[:, joints]
-            rest = _sensor_entries(sensors) if self._robot_columns else self._entries(sensors)
+            rest: dict[tuple[str, ...], Any] = {}
+            if not self._robot_columns:
+                rest = self._entries(sensors)
+            elif sensors:
+                rest = _sensor_entries(sensors)
             if self._episodes.counts_present:
                 self._manager.write(obs, rest)
             else:
@@ -179,7 +183,7 @@ class ObservationBuffer:
         """Return the result of `get_obs` as an observation of this layout, terms included."""
         if self._has_terms and type(obs) is Observation:
             self._has_terms = False
-            return self.layout.pack(obs)
+            return obs if obs.packed and obs.layout is self.layout else self.layout.pack(obs)
         return self.layout.pack(self._with_terms(obs))
 
     # -- rows that are replaced ----------------------------------------------------------------

@@ -578,7 +578,7 @@ class _Kinematics:
             mujoco.batch.SimulationError: If MuJoCo raised in an environment.
         """
         before = flags.copy()
-        flags |= self._left_out
+        np.bitwise_or(flags, self._left_out, out=flags)
         try:
             batch.forward(env_ids, stage=self._stage)
         finally:
