@@ -122,7 +122,8 @@ class Arrays:
 
 def is_host(array: Any) -> bool:
     """Whether an array, or anything else, is not on a device."""
-    return not hasattr(type(array), "tensor")
+    kind = type(array)
+    return kind is np.ndarray or not hasattr(kind, "tensor")
 
 
 def may_be_set(mask: Any) -> bool:

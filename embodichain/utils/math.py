@@ -71,7 +71,10 @@ def _products(a: Floats, b: Floats) -> Floats:
 
 def squares(vectors: NDArray[Any]) -> Floats:
     """Sum of the squares of the rows, (N, ..., K) -> (N, ...)."""
-    rows = contiguous(vectors, np.float64)
+    if type(vectors) is np.ndarray:
+        rows = np.ascontiguousarray(vectors, np.float64)
+    else:
+        rows = contiguous(vectors, np.float64)
     return np.vecdot(rows, rows)
 
 

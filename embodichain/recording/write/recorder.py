@@ -22,7 +22,6 @@ from embodichain.recording.format.attachments import attachments_of, model_bytes
 from embodichain.recording.format.draws import Drawn, EpisodeDraws
 from embodichain.recording.format.header import check_keyframes, header_of
 from embodichain.recording.format.messages.columns import Moved
-from embodichain.recording.format.draws import Drawn, EpisodeDraws
 from embodichain.recording.format.messages.episodes import Ends
 from embodichain.recording.format.options import RecordOptions, check_options
 from embodichain.recording.format.parts import LogPlace

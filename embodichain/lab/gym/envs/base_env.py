@@ -653,7 +653,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         result.end(over, self.cfg.ignore_terminations)
 
         going_on = self._going_on(result, pending)
-        changed = self.event_manager.step(going_on, stepped) + self.command_manager.step(going_on)
+        changed = self.event_manager.step(going_on, stepped)
+        if self.command_manager.acts_in_steps:
+            changed += self.command_manager.step(going_on)
         result.obs = self._step_observation.to_return(judged_obs, changed, kwargs, stepped)
         self._end_diverged(result, action_values)
         self.observation_buffer.store(result.obs)
@@ -704,7 +706,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """End the episodes of environments that diverged, with what was observed before."""
         diverged = self._judge.diverged(result)
         if diverged is None:
-            result.diverged = np.zeros(len(action_values), np.bool_)
+            result.diverged = self._judge.nowhere
             return
         result.diverged = diverged
         self._judge.explain(diverged, result)

@@ -128,6 +128,8 @@ class Drives:
         self.has_velocity_target = False
         self.joints: Joints = np.arange(0)
         self.control_columns: Columns = slice(0)
+        # Live views of the limits of `joints`, where these are evenly spaced.
+        self._limits_of_drives: tuple[Floats, Floats] | None = None
         self._joint_of_control: Joints = np.arange(0)  # column in ``ctrl`` -> joint, or -1
         # Drives switched between position and velocity control in any environment.
         self._switched: Joints = np.arange(0)
@@ -147,6 +149,8 @@ class Drives:
         self.control_columns = columns_of(columns)
         self._joint_of_control = np.full(self._handle.engine.state("ctrl").shape[1], -1)
         self._joint_of_control[columns] = self.joints
+        if isinstance(columns_of(self.joints), slice) and not self._arrays.on_device:
+            self._limits_of_drives = self.limits.of(self.joints, None)
         self._note(self.parsed.stiffness[None], self.parsed.max_velocity[None])
 
     # -- targets ---------------------------------------------------------------------------------
@@ -170,7 +174,12 @@ class Drives:
         self, target: Floats, joints: Joints, columns: Columns, ids: EnvIndex | None
     ) -> None:
         """Set finite position targets (n, k), clamped to the limits, in columns of ``ctrl``."""
-        clamped = self.limits.clamp(target, joints, ids)
+        if joints is self.joints and ids is None and self._limits_of_drives is not None:
+            low, high = self._limits_of_drives
+            clamped = np.maximum(target, low)
+            np.minimum(clamped, high, out=clamped)
+        else:
+            clamped = self.limits.clamp(target, joints, ids)
         if self._mixes:
             clamped = self._control(clamped, _at(ids, joints))
         self._handle.engine.write("ctrl", clamped, ids, columns)

@@ -68,11 +68,21 @@ class BodyMotion:
 
     def vector_to(self, other: BodyMotion) -> Floats:
         """(N, 3) m from this origin to another one."""
-        return self._once(("vector", other), lambda: other.position() - self.position())
+        key = ("vector", other)
+        vector = self._present_values().get(key)
+        if vector is None:
+            vector = other.position() - self.position()
+            self._computed[key] = vector
+        return vector
 
     def distance_to(self, other: BodyMotion) -> Floats:
         """(N,) m from this origin to another one."""
-        return self._once(("distance", other), lambda: norm(self.vector_to(other)))
+        key = ("distance", other)
+        distance = self._present_values().get(key)
+        if distance is None:
+            distance = norm(self.vector_to(other))
+            self._computed[key] = distance
+        return distance
 
     def orientation(self) -> Floats:
         """(N, 4) wxyz: a live view, do not store."""
@@ -84,14 +94,19 @@ class BodyMotion:
 
     def _once(self, name: Hashable, compute: Callable[[], Floats]) -> Floats:
         """The stored value, or a new one if the state has changed."""
-        if self._version != self._engine.version:
-            self._computed.clear()
-            self._version = self._engine.version
-        value = self._computed.get(name)
+        value = self._present_values().get(name)
         if value is None:
             value = compute()
             self._computed[name] = value
         return value
+
+    def _present_values(self) -> dict[Hashable, Floats]:
+        """What is stored of the present state, by name."""
+        version = self._engine.version
+        if self._version != version:
+            self._computed.clear()
+            self._version = version
+        return self._computed
 
     def axes(self) -> Floats:
         """(N, 3, 3) rotation matrices; the columns are the frame's axes in the world."""

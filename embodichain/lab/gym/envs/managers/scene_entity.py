@@ -243,7 +243,8 @@ class ResolvedEntity:
 
     def qpos(self) -> Floats:
         """(N, K) joint positions, rad or m; do not write to it or store it."""
-        return self._pick(self.articulation.read_qpos())
+        qpos = self.asset.read_qpos()  # type: ignore[union-attr]  (an articulation)
+        return qpos if self.all_joints else qpos[:, self._columns]
 
     @cached_property
     def _initial_rows(self) -> Floats:
@@ -260,7 +261,8 @@ class ResolvedEntity:
 
     def qvel(self) -> Floats:
         """(N, K) joint velocities, rad/s or m/s; do not write to it or store it."""
-        return self._pick(self.articulation.read_qvel())
+        qvel = self.asset.read_qvel()  # type: ignore[union-attr]  (an articulation)
+        return qvel if self.all_joints else qvel[:, self._columns]
 
     def target_qpos(self) -> Floats:
         """(N, K) position targets of the drives, rad or m; qpos of joints without a drive."""

@@ -225,6 +225,7 @@ class MetricManager(Manager[MetricCfg]):
             for metric in self._calls
         }
         self._count: NDArray[np.float32] = env.arrays.full(self.num_envs, 0.0, np.float32)
+        self._one_step: NDArray[np.float32] = env.arrays.full(self.num_envs, 1.0, np.float32)
 
     def _bind(self) -> None:
         self._checked = False
@@ -275,7 +276,7 @@ class MetricManager(Manager[MetricCfg]):
         values: dict[str, NDArray[Any]] = {}
         if not self._calls:
             return values
-        self._count = self._count + np.float32(1.0)
+        self._count = self._count + self._one_step
         for metric in self._calls:
             name = metric.name
             try:
@@ -351,6 +352,10 @@ class RewardManager(Manager[RewardCfg]):
         # Arrays (T, N), replaced and never written to: returned ones must not change.
         self._sums: F32 = env.arrays.full((len(self.terms), self.num_envs), 0.0, np.float32)
         self._sums_before = self._sums
+        # Of this shape: row 0 is the reward of hooks, the others are value x weight of the terms.
+        self._summands: F32 = env.arrays.full(
+            (len(self.terms) + 1, self.num_envs), 0.0, np.float32
+        )
         self._names = tuple(self.terms)
         self.values = TermRows(())
 
@@ -365,6 +370,7 @@ class RewardManager(Manager[RewardCfg]):
                 self._calls.append((row, name, term.call))
             if term.cfg.mode == "replace":
                 self._first_summand = row + 1
+        self._all_count = len(self._calls) == len(self.terms)
         weights = [self.weights[name] for name in self.terms]
         self._factors: F32 = np.array(weights, np.float32)[:, None]
 
@@ -418,22 +424,22 @@ class RewardManager(Manager[RewardCfg]):
             if rewards is not None:
                 return rewards
             return self._arrays.full(self.num_envs, 0.0, np.float32)
-        if len(self._calls) == len(self.terms):
+        env = self.env
+        if self._all_count:
             values = np.empty_like(self._sums)
         else:
             values = np.zeros_like(self._sums)
         for row, name, call in self._calls:
             try:
-                value = call(self.env, obs, action, info)
+                value = call(env, obs, action, info)
                 if not self._checked:
                     checked_rows(value, self.num_envs, "reward", name)
                 values[row] = value if type(value) is np.ndarray else self._arrays.of(value)
             except FAILURES as error:
                 self.fail(name, error)
         self._checked = True
-        summands: F32 = self._arrays.full((len(values) + 1, self.num_envs), 0.0, np.float32)
-        if rewards is not None:
-            summands[0] = rewards
+        summands = np.empty_like(self._summands)
+        summands[0] = 0.0 if rewards is None else rewards
         weighted = np.multiply(values, self._factors, out=summands[1:])
         self._sums_before = self._sums
         self._sums = self._sums + weighted

@@ -343,7 +343,12 @@ def above(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
     """
     compare = np.greater_equal if inclusive else np.greater
     limit = np.asarray(threshold)
-    return lambda values: _any_column(compare(values, limit))
+
+    def is_above(values: Floats) -> Mask:
+        mask = compare(values, limit)
+        return mask if mask.ndim == 1 else _any_column(mask)
+
+    return is_above
 
 
 @register_shape
@@ -359,7 +364,12 @@ def below(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
     """
     compare = np.less_equal if inclusive else np.less
     limit = np.asarray(threshold)
-    return lambda values: _every_column(compare(values, limit))
+
+    def is_below(values: Floats) -> Mask:
+        mask = compare(values, limit)
+        return mask if mask.ndim == 1 else _every_column(mask)
+
+    return is_below
 
 
 @register_shape

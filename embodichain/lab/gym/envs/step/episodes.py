@@ -37,7 +37,6 @@ class Episodes:
         arrays: Makes the arrays.
 
     Attributes:
-        limit: Control steps after which an episode is truncated.
         begun: Whether environments were reset.
         counts_present: Whether `count` contains the present step.
         elapsed: (N,) int32 finished control steps of the current episodes.
@@ -51,8 +50,10 @@ class Episodes:
     """
 
     def __init__(self, num_envs: int, limit: int, arrays: Arrays) -> None:
-        self.limit = limit
         self._arrays = arrays
+        self._num_envs = num_envs
+        self._one: NDArray[np.int32] = arrays.full(num_envs, 1, np.int32)
+        self.limit = limit
         self.begun = False
         self.counts_present = True
         self.elapsed: NDArray[np.int32] = arrays.full(num_envs, 0, np.int32)
@@ -64,6 +65,16 @@ class Episodes:
         self.cut: Mask | None = self.success.copy() if self._on_device else None
         self.last_action: NDArray[np.float64] = arrays.full((num_envs, 0), 0.0)
 
+    @property
+    def limit(self) -> int:
+        """Control steps after which an episode is truncated, or `NO_LIMIT`."""
+        return self._limit
+
+    @limit.setter
+    def limit(self, steps: int) -> None:
+        self._limit = steps
+        self._limits: NDArray[np.int32] = self._arrays.full(self._num_envs, steps, np.int32)
+
     def set_last_action(self, ids: EnvIndex, action: Any) -> None:
         """Set the last action of environments (n,)."""
         self.last_action = self.last_action.copy()
@@ -71,7 +82,8 @@ class Episodes:
 
     def advance(self) -> None:
         """Count a control step of all environments."""
-        self.elapsed += 1
+        # One number in place takes three times as long.
+        self.elapsed[...] = self.elapsed + self._one
 
     @property
     def count(self) -> NDArray[np.int32]:
@@ -126,7 +138,7 @@ class Episodes:
 
         The marks of `truncate` are cleared.
         """
-        truncated: Mask = self.elapsed >= np.int32(self.limit)
+        truncated: Mask = self.elapsed >= self._limits
         if self.cut is not None:
             truncated |= self.cut
             if self._on_device:

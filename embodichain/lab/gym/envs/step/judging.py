@@ -64,6 +64,7 @@ _TAKE_OBS = ("get_reward", "_extend_reward", "check_truncated")
 _MAKE_INFO = ("compute_task_state", "evaluate", "get_info")
 _TAKE_INFO = ("get_reward", "_extend_reward", "check_truncated", "_hook_after_sim_step")
 _OBSERVE = ("get_obs", "_extend_obs", "_get_sensor_obs")
+_ZERO = np.float32(0.0)
 _ID_KEYS = ("reset_ids", "env_ids", "env_idx", "reset_mask")
 
 
@@ -210,6 +211,7 @@ class StepJudge:
 
     Attributes:
         hooks_share_info: Whether a hook makes entries of ``info``, or receives it.
+        nowhere: (N,) a mask without a flag; on the host nothing can be written to it.
     """
 
     def __init__(
@@ -229,6 +231,11 @@ class StepJudge:
         self._env = env
         self._arrays = env.arrays
         self._num_envs = env.num_envs
+        self._is_on_host = not env.arrays.on_device
+        self._never_ends = self._is_on_host and not terminations.terms
+        self.nowhere = self._no_flags()
+        if self._is_on_host:
+            self.nowhere.setflags(write=False)  # several results have it
         self._hooks = hooks
         self._episodes = episodes
         self._actions = actions
@@ -304,7 +311,10 @@ class StepJudge:
 
     def _outcome(self, obs: Any, action: Any, info: Info | None) -> StepResult:
         """Return the result with terminations and metrics, added to ``info`` where it is made."""
-        result = self._ends(obs, action, info)
+        if info is None and self._never_ends:
+            result = self._going_on()
+        else:
+            result = self._ends(obs, action, info)
         result.metrics = self._metrics.compute(obs, action, info)
         if self._actions.has_metrics:
             self._actions.report(result.metrics)
@@ -317,8 +327,21 @@ class StepJudge:
             # The metric `success`, declared or of the class, has replaced it.
             result.success = self._arrays.of(info["success"]).copy()
         elif "success" in result.metrics:
-            result.success = result.metrics["success"] > 0
+            result.success = result.metrics["success"] > _ZERO
         return result
+
+    def _going_on(self) -> StepResult:
+        """Return the result of a task without terminations and hooks."""
+        return StepResult(
+            success_terminated=self.nowhere,
+            fail=self.nowhere,
+            time_out=None,
+            success=self.nowhere,
+            metrics={},
+            curriculum={},
+            class_info=None,
+            terminations=self._terminations.values,
+        )
 
     def _ends(self, obs: Any, action: Any, info: Info | None) -> StepResult:
         """Return the result with what ends episodes: the class's success and terminations."""
@@ -392,6 +415,10 @@ class StepJudge:
         """(N,) environments that diverged in this step, or None; without those pending a reset."""
         self._physics_diverged = self._env.sim.engine.take_diverged()
         mask = self._physics_diverged
+        if mask is None and self._is_on_host:
+            # As almost always.
+            if all_finite(result.obs.rows) and all_finite(result.reward):
+                return None
         for bad in (bad_rows(result.obs.rows), bad_rows(result.reward)):
             if bad is not None:
                 mask = bad if mask is None else mask | bad

@@ -69,7 +69,8 @@ class ObservationBuffer:
         episodes: Episodes,
         sensors: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        self._joints: Any = slice(None)
+        # None is all joints.
+        self._joints: NDArray[np.int64] | None = None
         if robot is not None and list(joint_ids) != list(range(robot.dof)):
             self._joints = np.asarray(joint_ids, np.int64)
         self._robot_reads: dict[tuple[str, str], Callable[[], Floats]] = {}
@@ -129,11 +130,20 @@ class ObservationBuffer:
         self._has_terms = True
         if self._built and self._plain:
             obs = Observation(self.layout, self.layout.empty())
+            rows = obs.rows
+            joints = self._joints
             for columns, read in self._robot_columns:
-                obs.rows[:, columns] = read()[:, self._joints]
-            rest = _sensor_entries(sensors) if self._robot_columns else self._entries(sensors)
-            with self._episodes.counting(present=True):
+                rows[:, columns] = read() if joints is None else read()[:, joints]
+            rest: dict[tuple[str, ...], Any] = {}
+            if not self._robot_columns:
+                rest = self._entries(sensors)
+            elif sensors:
+                rest = _sensor_entries(sensors)
+            if self._episodes.counts_present:
                 self._manager.write(obs, rest)
+            else:
+                with self._episodes.counting(present=True):
+                    self._manager.write(obs, rest)
             return obs
         entries = TensorMapping(batch_size=(self._manager.num_envs,))
         for path, value in self._entries(sensors).items():
@@ -152,7 +162,8 @@ class ObservationBuffer:
 
     def _entries(self, sensors: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
         """Return the entries that are not of terms: those of the robot and of sensors."""
-        entries = {path: read()[:, self._joints] for path, read in self._robot_reads.items()}
+        joints = slice(None) if self._joints is None else self._joints
+        entries = {path: read()[:, joints] for path, read in self._robot_reads.items()}
         return entries | _sensor_entries(sensors)
 
     def _nested(self, obs: Mapping[str, Any]) -> TensorMapping:
@@ -172,7 +183,7 @@ class ObservationBuffer:
         """Return the result of `get_obs` as an observation of this layout, terms included."""
         if self._has_terms and type(obs) is Observation:
             self._has_terms = False
-            return self.layout.pack(obs)
+            return obs if obs.packed and obs.layout is self.layout else self.layout.pack(obs)
         return self.layout.pack(self._with_terms(obs))
 
     # -- rows that are replaced ----------------------------------------------------------------

@@ -144,7 +144,7 @@ class StepResult:
                 info = _as_tensors(self.entries())
             else:
                 info["elapsed_steps"] = tensor_of(self.elapsed_steps)
-                info["diverged"] = tensor_of(self.diverged)
+                info["diverged"] = tensor_of(self.diverged.copy())
             self._info = info
         if self.final_obs is not None and "final_info" not in info:
             add_finals(info, self.final_obs, cast("Mask", self.done))

@@ -552,7 +552,7 @@ class _Kinematics:
     def __init__(self) -> None:
         self.enough = True
         self._stage = _STAGE_POS
-        self._left_out = _NO_CONTACT | _NO_CONSTRAINT | _NO_SENSOR
+        self._left_out = np.array([[_NO_CONTACT | _NO_CONSTRAINT | _NO_SENSOR]])
 
     def need(self, name: str) -> None:
         """Also compute this field from now on."""
@@ -562,7 +562,7 @@ class _Kinematics:
         else:
             self._stage = max(self._stage, stage)
         if name == "sensordata":  # a sensor may be about the constraint of a joint's limit
-            self._left_out = _NO_CONTACT
+            self._left_out = np.array([[_NO_CONTACT]])
 
     def forward(
         self, batch: mjbatch.Batch, flags: NDArray[np.int32], env_ids: EnvIndex | None
@@ -578,7 +578,7 @@ class _Kinematics:
             mujoco.batch.SimulationError: If MuJoCo raised in an environment.
         """
         before = flags.copy()
-        flags |= self._left_out
+        flags[...] = before | self._left_out  # one number in place takes three times as long
         try:
             batch.forward(env_ids, stage=self._stage)
         finally:

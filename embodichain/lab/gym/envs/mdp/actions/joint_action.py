@@ -145,7 +145,8 @@ class Affine:
             value = np.minimum(np.maximum(value, self._low_rows), self._high_rows)
         if self._is_identity:
             return value
-        return self._centre_rows + self._scale_rows * value.astype(np.float64)
+        scaled = self._scale_rows * value.astype(np.float64)
+        return np.add(self._centre_rows, scaled, out=scaled)
 
     def value_of(self, action: NDArray[np.float32]) -> Floats:
         """(A,) the value of one action within the bounds."""
