@@ -614,7 +614,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """Take a step by a checked action and its numbers (N, A); see `step` for the order."""
         # Some of the N environments, in three forms:
         # - masks (N,): `pending` (reset after this step, as NEXT_STEP does), `over` and `cut` (the
-        #   episode is truncated), and those of `result`;
+        #   episode is truncated), and those of `result`; None is no environment;
         # - sorted indices (n,), or None for all: `stepped` (all but the pending ones), `going_on`
         #   (neither pending nor at the end of their episode); with arrays on a device, masks;
         # - a list of such indices, one for each event or command that changed something: `changed`.
