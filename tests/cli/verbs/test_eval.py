@@ -60,6 +60,11 @@ def test_eval_writes_what_it_says(
     folder = Path(found["folder"])
     assert folder.parts[0] == "outputs"
     assert json.loads((folder / "eval.json").read_text()) == found
+    with recording.open(folder) as log:
+        drawn = [e.drawn for e in log.episodes if e.counted]
+    for name, values in found["per_episode"]["drawn"].items():
+        assert values == [draws[name] for draws in drawn]
+    assert set(found["per_episode"]["drawn"]) == set(drawn[0]) != set()
     config = yaml.safe_load((folder / "config.yaml").read_text())
     assert config["seed"] == EVAL_SEED_OFFSET + 5
     assert config["task"]["max_episode_steps"] == 12  # the run's own config, not today's file

@@ -17,6 +17,7 @@ from embodichain.recording.format.draws import EpisodeDraws
 from embodichain.recording.format.log_error import DamageError
 from embodichain.recording.format.messages.schema import message_class
 from embodichain.recording.read.episodes import decode_ends
+from tests.helpers.warp_scene import RANDOMIZED
 from tests.recording.runs import messages
 from tests.recording.scene import SmallEnv
 
@@ -120,6 +121,33 @@ def test_a_seed_makes_startup_events_draw_again(tmp_path):
         of_first = [e.drawn["weight.mass"] for e in log.episodes if e.env == 0 and e.drawn]
     assert masses[0] != masses[1]
     assert of_first == [masses[0][0], masses[1][0]]
+
+
+@pytest.mark.unmeasured
+@pytest.mark.slow
+def test_draws_on_a_device_are_those_of_the_host(tmp_path):
+    lines = [
+        *RANDOMIZED,
+        "variation=[delay]",
+        "+task.events.weight={func: randomize, mode: startup, params: {of: {uid: cart_pole}, "
+        "mass: [0.5, 2.0], operation: scale}}",
+    ]
+    found = {}
+    for arrays in ("device", "host"):
+        path = tmp_path / f"{arrays}.mcap"
+        with embodichain.make("cart_pole", 4, [*lines, f"sim.warp.arrays={arrays}"]) as env:
+            env.add_observer(McapRecorder(path, env))
+            env.reset()
+            for step in range(18):
+                if step == 4:
+                    env.reset(options={"reset_ids": [1]})
+                env.step(torch.zeros(4, 1, device=env.device))
+        with recording.open(path) as log:
+            found[arrays] = {(e.env, e.episode): e.drawn for e in log.episodes if e.drawn}
+    assert len(found["host"]) > 6 and found["device"] == found["host"]
+    names = {"weight.mass", "mass.mass", "observations.qpos.delay", "actions.force.delay"}
+    assert names <= set(found["host"][0, 0])
+    assert "damping.joint_damping" not in found["host"][0, 0]  # at intervals
 
 
 def test_strength_gives_the_result(tmp_path):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.job import Job, policy_of
@@ -105,9 +106,32 @@ def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:
         "changed": [str(change) for change in getattr(policy, "changed", ())],
         **evaluation.as_dict(),
     }
+    if recorder is not None:
+        drawn = _drawn_in(recorder.stats.path, evaluation.per_episode["env"])
+        if drawn:
+            result["per_episode"]["drawn"] = drawn
     text = to_json(job.resolved.record(result), indent=2)
     write_text(job.folder / EVAL_FILE, text + "\n")
     return result
+
+
+def _drawn_in(log: Path, envs: Sequence[int]) -> dict[str, list[list[float] | None]]:
+    """What was drawn for the counted episodes of a log, of which the environments are given.
+
+    Returns:
+        ``TERM.NAME`` -> its numbers in each of the episodes, None where it was not drawn.
+    """
+    from embodichain import recording
+
+    drawn: dict[int, list[Mapping[str, list[float]]]] = {}  # by environment, in time
+    for episode in sorted(recording.inspect(log).episodes, key=lambda episode: episode.episode):
+        if episode.counted:
+            drawn.setdefault(episode.env, []).append(episode.drawn)
+    rows: list[Mapping[str, list[float]]] = []
+    for env in envs:
+        rows.append(drawn[env].pop(0) if drawn.get(env) else {})
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: [row.get(name) for row in rows] for name in names}
 
 
 def _facts(counted: EpisodeStatistics) -> dict[str, str]:
