@@ -19,8 +19,8 @@ from embodichain.recording.format.messages.block import (
     ArrayKind,
     CallKind,
     Recorded,
+    joined_places,
     pack_steps,
-    split_arrays,
 )
 from embodichain.recording.format.messages.episodes import (
     COUNTED_TOPIC,
@@ -211,10 +211,12 @@ class LogWriter:
         if not steps:
             return
         kind, _ = steps[0].calls[-1]
-        arrays = split_arrays(kind.arrays, [step.calls[-1][1] for step in steps])
-        _, rewards, _, _, episode_ids = (np.ascontiguousarray(array) for array in arrays)
-        rewards = rewards.view(np.float32)
-        episode_ids = episode_ids.view(np.int64)
+        _, reward_place, _, _, ids_place = joined_places(kind.arrays)
+        joined: list[Any] = [step.calls[-1][1] for step in steps]
+        reward_bytes = b"".join([data[reward_place] for data in joined])
+        ids_bytes = b"".join([data[ids_place] for data in joined])
+        rewards = np.frombuffer(reward_bytes, np.float32).reshape(len(steps), -1)
+        episode_ids = np.frombuffer(ids_bytes, np.int64).reshape(len(steps), -1)
         has_other_episodes = (episode_ids[1:] != episode_ids[:-1]).any(axis=1).tolist()
         first = 0
         for index, step in enumerate(steps):

@@ -60,8 +60,8 @@ __all__ = [
     "CallKind",
     "Recorded",
     "Run",
+    "joined_places",
     "pack_steps",
-    "split_arrays",
     "unpack_steps",
 ]
 
@@ -187,12 +187,12 @@ class _Entry:
         if isinstance(self.arrays[0], bytes):
             if len(kinds) == 1:
                 return [self.arrays]
-            return split_arrays(kinds, self.arrays)
+            return _split_arrays(kinds, self.arrays)
         # Readers' tests declare fewer arrays than they store.
         return list(zip(*self.arrays, strict=True))[: len(kinds)]
 
 
-def split_arrays(kinds: Sequence[ArrayKind], joined: Sequence[Any]) -> list[NDArray[np.uint8]]:
+def _split_arrays(kinds: Sequence[ArrayKind], joined: Sequence[Any]) -> list[NDArray[np.uint8]]:
     """Split the joined arrays of some steps.
 
     Args:
@@ -203,13 +203,18 @@ def split_arrays(kinds: Sequence[ArrayKind], joined: Sequence[Any]) -> list[NDAr
         The (S, size) bytes of each array in all S steps.
     """
     steps = np.frombuffer(b"".join(joined), np.uint8).reshape(len(joined), -1)
-    blocks = []
+    return [steps[:, place] for place in joined_places(kinds)]
+
+
+def joined_places(kinds: Sequence[ArrayKind]) -> list[slice]:
+    """Where each array is in the bytes of all of them, one after another."""
+    places = []
     start = 0
     for kind in kinds:
         end = start + DTYPES[kind.dtype].itemsize * math.prod(kind.shape)
-        blocks.append(steps[:, start:end])
+        places.append(slice(start, end))
         start = end
-    return blocks
+    return places
 
 
 def _entries(steps: Sequence[Sequence[Recorded]]) -> list[_Entry]:
