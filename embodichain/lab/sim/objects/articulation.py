@@ -171,7 +171,7 @@ class Articulation(FrameReads):
         self.index  # noqa: B018  (compiles, which fills the columns)
         drives = self.drives
         if joints is not None:
-            columns: Columns = columns_of(drives.columns(joints))
+            columns: Columns = drives.control_columns_of(joints)
         else:
             joints = drives.joints
             columns = drives.control_columns

@@ -128,6 +128,7 @@ class Drives:
         self.has_velocity_target = False
         self.joints: Joints = np.arange(0)
         self.control_columns: Columns = slice(0)
+        self._columns_of_joints: dict[bytes, Columns] = {}
         # Live views of the limits of `joints`, where these are evenly spaced.
         self._limits_of_drives: tuple[Floats, Floats] | None = None
         self._joint_of_control: Joints = np.arange(0)  # column in ``ctrl`` -> joint, or -1
@@ -168,6 +169,15 @@ class Drives:
                 f"{self._handle.uid}: joints {names} have no drive (drive_type none, mimics of "
                 "others, or without a servo in their file); set their position with target=False"
             )
+        return columns
+
+    def control_columns_of(self, joints: Joints) -> Columns:
+        """`columns`, as a slice where they are evenly spaced; looked up once."""
+        key = joints.tobytes()
+        columns = self._columns_of_joints.get(key)
+        if columns is None:
+            columns = columns_of(self.columns(joints))
+            self._columns_of_joints[key] = columns
         return columns
 
     def write_target_qpos(

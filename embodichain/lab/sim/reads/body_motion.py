@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from embodichain.lab.sim.reads.gravity import gravity_direction
-from embodichain.utils.arrays import is_host
+from embodichain.utils.arrays import is_host, may_be_set
 from embodichain.utils.math import norm, quat_to_matrix, rotate, rotate_back
 
 if TYPE_CHECKING:
@@ -170,6 +170,8 @@ class BodyMotion:
         y = axes[:, 1, 0]
         length = np.sqrt(x * x + y * y)
         is_vertical = length == 0.0
+        if not may_be_set(is_vertical):
+            return x / length, y / length
         length[is_vertical] = 1.0
         return np.where(is_vertical, 1.0, x / length), y / length
 

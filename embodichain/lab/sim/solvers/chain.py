@@ -167,7 +167,8 @@ class Chain:
             parts = pose[:, :3, None] * move
             np.add(parts[:, 0], parts[:, 1], out=product)
             product += parts[:, 2]
-            product[:, 3] += pose[:, 3]
+            shift = product[:, 3]
+            shift += pose[:, 3]
         return Frames(
             rotation=poses[-1, :, :3],
             position=poses[-1, :, 3],
@@ -181,8 +182,9 @@ class Chain:
         anchors = np.swapaxes(frames.anchors, 0, 1)
         arm = frames.position[:, None] - anchors
         jacobian = np.empty_like(frames.position, shape=(6, *axes.shape[1:]))
-        jacobian[:3] = axes.take(_NEXT, 0) * arm.take(_LAST, 0)
-        jacobian[:3] -= axes.take(_LAST, 0) * arm.take(_NEXT, 0)
+        linear = jacobian[:3]
+        linear[...] = axes.take(_NEXT, 0) * arm.take(_LAST, 0)
+        linear -= axes.take(_LAST, 0) * arm.take(_NEXT, 0)
         jacobian[3:] = axes
         for slide in self._slides:
             jacobian[:3, slide] = axes[:, slide]
