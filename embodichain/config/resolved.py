@@ -382,7 +382,7 @@ def _with_defaults(tree: Mapping[str, Any], verb: JobVerb) -> dict[str, Any]:
     if filled.get("seed") is None:
         filled["seed"] = secrets.randbits(_SEED_BITS)
     sim = filled["sim"]
-    sim["engine"], _ = choose_engine(sim["engine"], filled["device"])
+    sim["engine"], _ = choose_engine(sim.get("engine"), filled["device"])
     return filled
 
 

@@ -61,7 +61,12 @@ def test_doctor_says_what_is_there_and_how_to_get_the_rest(capsys, monkeypatch):
     [
         ("EMBODICHAIN_RENDERER", "layered", "ok", "layered renderer: .*, OpenGL 4"),
         ("EMBODICHAIN_RENDERER", "classic", "ok", "classic renderer: .*, OpenGL [1-9]"),
-        ("EMBODICHAIN_RENDERER", "layerd", "warn", "no renderer 'layerd'.*Did you mean 'layered'"),
+        (
+            "EMBODICHAIN_RENDERER",
+            "layerd",
+            "warn",
+            "unknown renderer 'layerd'.*Did you mean",
+        ),
         ("MUJOCO_GL", "disable", "warn", "no OpenGL: depth and masks are drawn with rays"),
     ],
 )

@@ -12,6 +12,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 pytestmark = pytest.mark.unmeasured
 
@@ -112,6 +113,63 @@ def test_one_file_adds_a_launcher(installed: Path, tmp_path: Path) -> None:
     assert sorted(logs) == ["0", "1"], done.stderr
 
 
+def test_one_file_adds_an_engine(installed: Path, tmp_path: Path) -> None:
+    job = ["task=cart_pole", "policy=zero", "num_envs=3", "seed=1", "max_steps=5"]
+    done = run(
+        installed,
+        tmp_path,
+        ["list", "engines"],
+        ["validate", "task=cart_pole", "sim.engine=counting", "record.state=keyframes"],
+        ["run", *job, "sim.engine=counting", "hydra.run.dir=counted"],
+        ["replay", "counted"],
+        ["replay", "counted", "--verify"],
+        ["run", *job, "hydra.run.dir=plain"],
+        ["diff", "counted", "plain"],
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    said = " ".join(done.stdout.split())
+    assert "counting MuJoCo on the CPU, with a count of physics steps." in said
+    counted = re.findall(r"^(\d+) physics steps$", done.stderr, re.MULTILINE)
+    assert counted and int(counted[-1]) >= 15, done.stderr
+    assert "identical to the bit" in said, done.stdout + done.stderr
+    assert ", counting 1.0 of my-package, MuJoCo " in said
+    # Where the package is not installed, the log is read, and its engine and package are named.
+    alone = run(
+        tmp_path / "nothing",
+        tmp_path,
+        ["replay", "counted"],
+        ["replay", "counted", "--verify"],
+        code=RUN.replace("if code:", "if code != (1 if '--verify' in line else 0):"),
+    )
+    assert alone.returncode == 0, alone.stdout + alone.stderr
+    expected = (
+        "it was recorded with 'counting 1.0', an engine of the package 'my-package', which has "
+        "none of this name here: pip install my-package"
+    )
+    assert expected in " ".join(alone.stdout.split())
+    assert expected in " ".join(alone.stderr.split())
+
+
+def test_one_file_adds_a_renderer(
+    installed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("EMBODICHAIN_RENDERER", "flat")
+    done = run(
+        installed,
+        tmp_path,
+        ["list", "renderers"],
+        ["render", "task=cart_pole", "scene.png"],
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "flat Every picture in one colour" in " ".join(done.stdout.split())
+    with Image.open(tmp_path / "scene.png") as picture:
+        assert picture.convert("RGB").getcolors() == [(picture.width * picture.height, (0, 160, 0))]
+    monkeypatch.setenv("EMBODICHAIN_RENDERER", "flt")
+    code = RUN.replace("if code:", "if code != 2:")
+    done = run(installed, tmp_path, ["render", "task=cart_pole", "b.png"], code=code)
+    assert done.returncode == 0 and "Did you mean 'flat'?" in done.stderr
+
+
 def test_mistakes_name_what_is_installed(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "log.mcap").touch()
     code = RUN.replace("if code:", "if code != 2:")
@@ -123,14 +181,17 @@ def test_mistakes_name_what_is_installed(installed: Path, tmp_path: Path) -> Non
         ["validate", "--train", "task=reach", "algo=reinforc"],
         ["validate", "--train", "task=reach", "algo=reinforce", "algo.step=3"],
         ["validate", "task=reach", "viewer=tickr"],
+        ["validate", "task=reach", "sim.engine=countin"],
+        ["validate", "task=reach", "sim.engine=counting", "device=cuda"],
         ["validate", "task=lift_cube", f"policy={{func: expert, params: {{steps: {steps}}}}}"],
         code=code.replace("code = main(line)", "code = main(line) or 2"),
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "ros2, rrd, jsonl, robomimic" in " ".join(done.stdout.split())
     said = " ".join(done.stderr.split())
-    for hint in ("reinforce", "steps", "ticker", "wipe"):
+    for hint in ("reinforce", "steps", "ticker", "counting", "wipe"):
         assert f"Did you mean '{hint}'?" in said
+    assert "sim.engine=counting does not run on 'cuda': device=cpu, or sim.engine=warp" in said
     assert not (tmp_path / "outputs").exists()
 
 
@@ -139,7 +200,7 @@ def test_a_broken_package_is_named_where_its_things_are_asked_for(tmp_path: Path
     info = site / "broken-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
-    groups = ("formats", "learners", "viewers", "steps")
+    groups = ("formats", "learners", "viewers", "steps", "engines")
     (info / "entry_points.txt").write_text(
         "".join(f"[embodichain.{group}]\nlost = lost_{group}\n" for group in groups)
     )
@@ -150,13 +211,14 @@ def test_a_broken_package_is_named_where_its_things_are_asked_for(tmp_path: Path
         site,
         tmp_path,
         ["validate", "task=reach", "viewer=lost"],
+        ["validate", "task=reach", "sim.engine=lost"],
         ["validate", "--train", "task=reach", "algo=lost"],
         ["validate", "task=lift_cube", steps],
         ["validate", "task=reach"],
         code=RUN.replace("if code:", "if code != (2 if 'lost' in str(line) else 0):"),
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    for group in ("learners", "viewers", "steps"):
+    for group in ("learners", "viewers", "steps", "engines"):
         assert f"(entry point 'lost' of broken) could not be loaded: RuntimeError: no {group}" in (
             " ".join(done.stderr.split())
         )

@@ -29,6 +29,7 @@ from embodichain.config.keys.launchers import LAUNCHERS
 from embodichain.config.keys.schema import JobVerb
 from embodichain.config.resolved import Resolved
 from embodichain.lab.sim.engine.cpu.mujoco_process import all_cores
+from embodichain.lab.sim.engine.engine_register import ENGINES
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Plan", "compose_for_hydra", "plan_sweep", "swept_keys", "with_sweepers_params"]
@@ -145,7 +146,7 @@ def plan_sweep(verb: JobVerb, overrides: Sequence[str], first: Resolved) -> Plan
     if launcher != _BASIC:
         at_once, threads = _divide_cores(config, launcher, cores, most_at_once)
         sim = first.tree["sim"]
-        if sim["num_threads"] == 0 and sim["engine"] == "mujoco":
+        if sim["num_threads"] == 0 and _is_on_cores(sim["engine"]):
             lines.append(f"sim.num_threads={threads}")
         else:
             threads = int(sim["num_threads"])
@@ -173,9 +174,14 @@ def _key_of(override: str) -> str:
 def _needs_machine(job: Resolved) -> bool:
     """Whether a job takes the GPU, a cluster or a viewer's port, which jobs cannot share."""
     sim = job.tree["sim"]
-    if sim["engine"] != "mujoco" or sim["backend"] != "local":
+    if not _is_on_cores(sim["engine"]) or sim["backend"] != "local":
         return True
     return job.tree["viewer"]["name"] != "none"
+
+
+def _is_on_cores(engine: str) -> bool:
+    """Whether an engine runs on the cores of the CPU alone, which jobs share."""
+    return ENGINES[engine].devices == ("cpu",)
 
 
 def swept_keys(overrides: Sequence[str]) -> list[str]:

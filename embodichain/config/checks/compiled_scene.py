@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from embodichain.config.keys.schema import RootCfg
 from embodichain.lab.sim.cfg import choose_engine
+from embodichain.lab.sim.engine.engine_register import ENGINES
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -28,8 +29,8 @@ def compile_declared(
 
     Raises:
         ConfigError: Lists every mistake that only the compiled scene shows, with paths from the
-            root: MuJoCo refuses it, the log has pictures of a camera that there is not, or MuJoCo
-            Warp is to step it and lacks something.
+            root: MuJoCo refuses it, the log has pictures of a camera that there is not, or the
+            engine that is to step it lacks something.
     """
     try:
         scene = declared.compile()
@@ -37,7 +38,7 @@ def compile_declared(
         raise ConfigError(
             replace(problem, path=f"task.{problem.path}".rstrip(".")) for problem in error.problems
         ) from error
-    problems = _missing_in_warp(root, scene)
+    problems = _missing_in_engine(root, scene)
     if images and root.record.images is not None and root.task.id is None:
         from embodichain.config.checks.recorded_images import check_images  # imports MuJoCo
 
@@ -47,11 +48,9 @@ def compile_declared(
     return scene
 
 
-def _missing_in_warp(root: RootCfg, scene: CompiledScene) -> list[Problem]:
-    """What MuJoCo Warp lacks of the scene, if it is to step it."""
+def _missing_in_engine(root: RootCfg, scene: CompiledScene) -> list[Problem]:
+    """What the engine that is to step the scene lacks of it."""
     engine, missing = choose_engine(root.sim.engine, root.device or "cpu")
-    if engine != "warp" or missing:
+    if missing:
         return []
-    from embodichain.lab.sim.engine.warp.warp_support import unsupported  # imports MuJoCo Warp
-
-    return unsupported(scene.model)
+    return ENGINES[engine].unsupported(scene.model)

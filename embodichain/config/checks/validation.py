@@ -45,6 +45,7 @@ from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, resolve_t
 from embodichain.lab.gym.policies import PRETRAINED, resolve_policy
 from embodichain.lab.sim.cfg import WarpCfg, choose_engine
 from embodichain.lab.sim.configs.references import REFERENCE_WORDS
+from embodichain.lab.sim.engine.engine_register import ENGINES
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import unknown_key
 from embodichain.utils.suggest import did_you_mean
@@ -409,11 +410,13 @@ def _check_engine(root: RootCfg) -> list[Problem]:
     engine, problems = choose_engine(root.sim.engine, root.device or "cpu")
     for key, value in vars(root.sim.warp).items():
         if engine != "warp" and value not in (getattr(WarpCfg(), key), "host"):
-            message = "is for sim.engine=warp, but the engine is mujoco"
+            message = f"is for sim.engine=warp, but the engine is {engine}"
             problems.append(Problem(f"sim.warp.{key}", message))
     record = root.record
-    if engine == "warp" and record.format != "none" and record.state == "keyframes":
-        message = "physics of sim.engine=warp is not repeated to the bit; use record.state=all"
+    kind = ENGINES.get(engine)
+    is_exact = kind is None or kind.is_exact
+    if not is_exact and record.format != "none" and record.state == "keyframes":
+        message = f"physics of sim.engine={engine} is not repeated to the bit; use record.state=all"
         problems.append(Problem("record.state", message))
     return problems
 

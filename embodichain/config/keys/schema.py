@@ -70,7 +70,8 @@ class SimCfg:
     """How the simulation runs; the scene itself is in the task."""
 
     engine: EngineName | None = None
-    """`mujoco` is `mujoco.batch` on the CPU, `warp` MuJoCo Warp; null is that of `device`."""
+    """`mujoco` is `mujoco.batch` on the CPU, `warp` MuJoCo Warp; null is that of `device`. Packages
+    may have others."""
     backend: Literal["local", "ray"] = "local"
     """Where environments run: in this process, or in shards on the nodes of a Ray cluster."""
     shards: PositiveInt = 1

@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, GetCoreSchemaHandler
 
 from embodichain.lab.sim.configs.contact_cfg import Coefficient, ContactCfg
 from embodichain.lab.sim.configs.drive_cfg import JointDrivePropertiesCfg
@@ -32,6 +32,7 @@ from embodichain.lab.sim.configs.scene_cfg import (
 from embodichain.lab.sim.configs.self_collision_cfg import SelfCollisionCfg
 from embodichain.lab.sim.configs.solver_cfg import SolverCfg
 from embodichain.lab.sim.configs.urdf_cfg import URDFCfg
+from embodichain.lab.sim.engine.engine_register import ENGINES
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg, SiteCfg, VariantCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
@@ -74,7 +75,18 @@ __all__ = [
 ]
 
 DEFAULT_RENDERER = "hybrid"
-EngineName = Literal["mujoco", "warp"]
+
+
+class _EngineNames:
+    """Tells pydantic the names of engines, when it first builds a schema with them."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        names: Any = Literal[ENGINES.names()]
+        return handler.generate_schema(names)
+
+
+EngineName = Annotated[str, _EngineNames()]
+"""The name of an engine in `ENGINES`."""
 PositiveInt = Annotated[int, Field(ge=1)]
 NotNegative = Annotated[
     float,
@@ -139,7 +151,8 @@ class SimulationManagerCfg:
     """A `VisualizationCfg` of `embodichain.lab.visualization`: the viewer in a browser."""
     # ours
     engine: EngineName | None = dataclasses.field(default=None, kw_only=True)
-    """``mujoco`` is `mujoco.batch` on the CPU, ``warp`` MuJoCo Warp; None is that of the device."""
+    """``mujoco`` is `mujoco.batch` on the CPU, ``warp`` MuJoCo Warp, another one that of a package
+    (`ENGINES`); None is that of the device."""
     warp: WarpCfg = dataclasses.field(default_factory=WarpCfg, kw_only=True)
     """Values that are None are estimated by MuJoCo Warp."""
     num_threads: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
@@ -466,12 +479,22 @@ def choose_engine(engine: EngineName | None, device: Any) -> tuple[EngineName, l
         hint = did_you_mean(name, ["cpu", "cuda"]).strip()
         message = f"unknown device {name!r}; allowed: cpu, cuda, cuda:N."
         return engine or "mujoco", [Problem("device", message, hint)]
-    chosen: EngineName = engine or ("mujoco" if name == "cpu" else "warp")
-    if chosen == "mujoco":
-        message = f"sim.engine=mujoco does not run on {name!r}: device=cpu, or sim.engine=warp"
-        return chosen, [] if name == "cpu" else [Problem("device", message)]
-    from embodichain.lab.sim.engine.warp.warp_support import why_missing
-
-    reason = why_missing(name)
+    chosen = engine or ("mujoco" if name == "cpu" else "warp")
+    kind = ENGINES.get(chosen)
+    if kind is None:
+        return chosen, [Problem("sim.engine", ENGINES.unknown(chosen))]
+    if name.partition(":")[0] not in kind.devices:
+        return chosen, [Problem("device", _wrong_device(chosen, name))]
+    reason = kind.why_missing(name)
     path = "sim.engine" if name == "cpu" else "device"
     return chosen, [Problem(path, reason)] if reason else []
+
+
+def _wrong_device(engine: EngineName, device: str) -> str:
+    """Say where an engine runs instead, and which engines run on the device."""
+    kind = device.partition(":")[0]
+    others = [name for name, entry in ENGINES.items() if kind in entry.devices]
+    ways = [f"device={ENGINES[engine].devices[0]}"]
+    if others:
+        ways.append(f"sim.engine={' or '.join(others)}")
+    return f"sim.engine={engine} does not run on {device!r}: {', or '.join(ways)}"

@@ -27,8 +27,13 @@ from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
 from embodichain.lab.sim.configs.config_types import check_config
 from embodichain.lab.sim.configs.sensor_cfg import SENSORS, AnySensorCfg, SensorCfg
-from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
-from embodichain.lab.sim.engine.room import LEAST_BYTES, bytes_of
+from embodichain.lab.sim.engine.engine_register import (
+    ENGINES,
+    EngineSetup,
+    find_recorded,
+    recorded_name,
+)
+from embodichain.lab.sim.engine.room import LEAST_BYTES
 from embodichain.lab.sim.engine.warp.device_arrays import DeviceArrays
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
@@ -38,7 +43,7 @@ from embodichain.lab.sim.scene import Entity, Scene
 from embodichain.lab.sim.sensors.base_sensor import BaseSensor
 from embodichain.utils.array_types import host_ids
 from embodichain.utils.arrays import Arrays, as_env_ids
-from embodichain.utils.errors import DeviceError
+from embodichain.utils.errors import ConfigError, DeviceError, Problem
 from embodichain.utils.plugins import with_missing_members
 from embodichain.utils.system.memory import require_memory_for
 from embodichain.utils.uncopied import Uncopied
@@ -77,6 +82,21 @@ def _uid_of(cfg: Any) -> str:
     """The key path of an entity or a sensor in messages: its name, if it has one."""
     uid = getattr(cfg, "uid", None)
     return uid if isinstance(uid, str) else ""
+
+
+def _start(name: str, setup: EngineSetup) -> Engine:
+    """Start an engine; logs must be able to name it.
+
+    Raises:
+        ConfigError: If the engine has the name of another; or it cannot compute the scene.
+    """
+    kind = ENGINES[name]
+    engine = kind.start(setup)
+    if find_recorded(recorded_name(engine)) is not kind:
+        engine.close()
+        message = f"the engine {name!r} of {ENGINES.place(name)} is called {engine.name!r}"
+        raise ConfigError([Problem("sim.engine", f"{message}; its `name` must be {name!r}")])
+    return engine
 
 
 @with_missing_members
@@ -300,28 +320,17 @@ class SimulationManager(Uncopied):
             return
         cfg = self.sim_config
         scene = self._scene.compile()
-        if self._engine_name == "warp":
-            from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
-            from embodichain.lab.sim.engine.warp.warp_engine import WarpEngine
-
-            kind = DeviceEngine if self.arrays.on_device else WarpEngine
-            self._engine = kind(
-                scene.model,
-                self.num_envs,
-                num_threads=cfg.num_threads,
-                device=cfg.device_name,
-                nconmax=cfg.warp.nconmax,
-                njmax=cfg.warp.njmax,
-            )
-        else:
-            env_bytes = bytes_of(scene.model, cfg.persistent)
-            require_memory_for(self.num_envs, env_bytes, "environments of this scene", "num_envs")
-            self._engine = CpuEngine(
-                scene.model,
-                self.num_envs,
-                num_threads=cfg.num_threads,
-                persistent=cfg.persistent,
-            )
+        setup = EngineSetup(
+            model=scene.model,
+            num_envs=self.num_envs,
+            device=cfg.device_name,
+            num_threads=cfg.num_threads,
+            persistent=cfg.persistent,
+            arrays_on_device=self.arrays.on_device,
+            nconmax=cfg.warp.nconmax,
+            njmax=cfg.warp.njmax,
+        )
+        self._engine = _start(self._engine_name, setup)
         self._initial_row = scene.initial_row
         self._engine.write("row", self._initial_row)
         self._scene.bind(self._engine)

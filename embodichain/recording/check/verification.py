@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.engine.engine_register import find_recorded
 from embodichain.recording.check.byte_check import ByteReport, Damage, check_bytes
 from embodichain.recording.format.attachments import (
     approximate_model,
@@ -88,11 +89,17 @@ class VerifyReport:
     has_writes: bool = True
     damage: list[Damage] = field(default_factory=list)
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether MuJoCo's results are those of `engine` to the bit."""
+        kind = find_recorded(self.engine)
+        return kind is not None and kind.is_exact
+
     def __str__(self) -> str:
         """Return the result, and every reason on its own line."""
         environments = "environment" if self.envs == 1 else "environments"
         count = f"{self.steps} steps of {self.envs} {environments}"
-        if self.ok and self.engine == MUJOCO:
+        if self.ok and self.is_exact:
             return "\n".join([f"verified: {count} are identical to the bit", *self.notes])
         if self.ok:
             first = f"verified: {count}, recorded with {self.engine}"
@@ -103,10 +110,10 @@ class VerifyReport:
         if self.difference is not None:
             lines.append(f"first difference: {self.difference}")
         lines += self.problems
-        if self.largest_error and self.engine == MUJOCO:
+        if self.largest_error and self.is_exact:
             errors = self._largest_errors()
             lines.append(f"approximate only: largest difference after one step: {errors}")
-        elif self.engine != MUJOCO:
+        elif not self.is_exact:
             lines += self._closeness()
         lines += self.notes
         return "\n".join(lines)
@@ -202,7 +209,7 @@ def simulate(
         raise ConfigError("pictures are compared in all episodes: leave the episode out")
     with LogReader(path) as reader:
         header = reader.require_header()
-        if images and header.engine != MUJOCO:
+        if images and not header.is_exact:
             raise ConfigError(
                 f"pictures of {header.engine} are not compared: its poses are float32"
             )
@@ -233,7 +240,7 @@ def simulate(
                 active=active,
                 exact=loaded.exact,
                 num_threads=num_threads,
-                repeats=header.engine == MUJOCO,
+                repeats=header.is_exact,
             )
             report = _follow(reader, start_simulation, report, progress)
             if images and report.ok:
@@ -409,7 +416,7 @@ def _at_the_end(reader: LogReader, report: VerifyReport, last_step: int) -> Veri
         problems.append(f"{end}: {reader.cut}")
     elif not report.steps:
         problems.append("the log has no control step: there is nothing to compare")
-    if report.engine != MUJOCO and report.outside > MOST_OUTSIDE * report.measured:
+    if not report.is_exact and report.outside > MOST_OUTSIDE * report.measured:
         share = f"{report.outside / report.measured:.1%}"
         message = f"{share} of the results of physics are not MuJoCo's"
         problems.append(f"{message}; at most {MOST_OUTSIDE:.0%} are expected")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import uuid
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
@@ -13,6 +12,12 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 
 from embodichain.lab.gym.envs.action_columns import ActionColumn, action_columns
+from embodichain.lab.sim.engine.engine_register import (
+    ENGINES,
+    find_recorded,
+    recorded_name,
+    split_recorded,
+)
 from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.format.log_error import LARGEST_CHUNK, DamageError, LogError
 from embodichain.recording.format.messages.columns import moved_ranges
@@ -43,9 +48,7 @@ METADATA_END = "embodichain.end"
 METADATA_RECOVERED = "embodichain.recovered"
 """Record of a file that was recovered from a broken one: the source, and why the log ends."""
 MUJOCO = "mujoco"
-"""The engine that simulates logs again, to the bit where it recorded them."""
-_ENGINES = re.compile(r"mujoco|mujoco_warp \d[\w.+-]*")
-"""Engines that record logs, with their versions."""
+"""The engine that simulates logs again, to the bit where it, or one like it, recorded them."""
 FORMAT_VERSION = 4
 """Logs of other versions are refused."""
 _LONGEST_STEP = 1e5
@@ -95,7 +98,8 @@ class Header:
         call_steps: Physics steps of each physics call of a control step; 0 is all of them, in one.
         policy: The source of the actions: name or path of a policy, ``teleop`` for a person; empty
             if it is not known.
-        engine: What computed physics: ``mujoco``, or another engine with its version.
+        engine: What computed physics: ``mujoco``, or another engine with its version and, if it is
+            not of this package, its package: ``counting 1.0 of my-package``.
         writes: ``all``; or ``none`` with arrays on a device: instead of each write, the log has the
             differences between states before and after physics and after resets.
         action: Meaning of each number of an action, see `ActionColumn.to_dict`; empty if it is not
@@ -264,12 +268,24 @@ class Header:
     @property
     def unknown_engine(self) -> str:
         """Why physics of the log's engine cannot be compared; empty if it can."""
-        if _ENGINES.fullmatch(self.engine):
+        if find_recorded(self.engine) is not None:
             return ""
+        name, package = split_recorded(self.engine)
+        broken = "".join(f"; {reason}" for reason in ENGINES.broken)
+        if package:
+            message = f"it was recorded with {name!r}, an engine of the package {package!r}"
+            return f"{message}, which has none of this name here: pip install {package}{broken}"
         return (
-            f"it was recorded with {self.engine!r}, an engine that is not known: "
-            "mujoco, mujoco_warp VERSION"
+            f"it was recorded with {name!r}, an engine that is not registered here; there are: "
+            f"{', '.join(ENGINES)}. A package that has it has an entry point of the group "
+            f"{ENGINES.group}{broken}"
         )
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether `mujoco.batch` computes the same results as the log's engine, to the bit."""
+        kind = find_recorded(self.engine)
+        return kind is not None and kind.is_exact
 
     @property
     def has_writes(self) -> bool:
@@ -402,7 +418,7 @@ def header_of(
         log_id=uuid.uuid4().hex,
         call_steps=int(env.physics_steps_per_call),
         policy=policy,
-        engine=env.sim.engine.name,
+        engine=recorded_name(env.sim.engine),
         writes="all" if env.sim.engine.reports_writes else "none",
         action=_action_of(env),
     )

@@ -18,8 +18,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from mujoco.batch import MODEL_FIELDS
 
-from embodichain.lab.sim.drawing.gl import hint
-from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer, hint_at_colors
 from embodichain.lab.sim.drawing.states import DataState
 from embodichain.lab.sim.drawing.views import Look, Output, Pictures, View, view_of
 from embodichain.lab.sim.engine.api import F64, Engine
@@ -128,8 +127,8 @@ class RowRenderer:
         """
         if self._renderer is None:
             renderer = OffscreenRenderer(self._engine.model)
-            if renderer.kind == "rays":
-                raise RenderError(f"pictures of a log need OpenGL; {hint()}")
+            if "color" not in renderer.outputs:
+                raise RenderError(f"pictures of a log need OpenGL; {hint_at_colors()}")
             self._renderer = renderer
         return self._renderer
 

@@ -72,7 +72,7 @@ def test_depth_and_masks_are_logged_without_hashes(said, monkeypatch):
 def test_an_unknown_renderer_is_of_the_environment_variable(said, monkeypatch, words):
     monkeypatch.setenv("EMBODICHAIN_RENDERER", "layred")
     expected = (
-        "error: environment variable: EMBODICHAIN_RENDERER: no renderer 'layred'; allowed: "
+        "error: environment variable: EMBODICHAIN_RENDERER: unknown renderer 'layred'; there are: "
         "layered, classic, rays. Did you mean 'layered'?"
     )
     for verb in ("run", "validate"):

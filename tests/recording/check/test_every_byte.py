@@ -280,7 +280,8 @@ def test_an_unknown_engine_is_not_verified(record, tmp_path, engine):
     report = verify(rewrite(record(), tmp_path / "other.mcap", metadata=metadata))
     assert not report.ok and report.steps == 0
     assert report.problems == [
-        f"it was recorded with {engine!r}, an engine that is not known: mujoco, mujoco_warp VERSION"
+        f"it was recorded with {engine!r}, an engine that is not registered here; there are: "
+        "mujoco, warp. A package that has it has an entry point of the group embodichain.engines"
     ]
 
 

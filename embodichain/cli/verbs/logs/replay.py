@@ -307,14 +307,12 @@ def _describe_verification(header: Header) -> str:
     """Whether `--verify` can compare the log here, and how exactly."""
     import mujoco
 
-    from embodichain.recording.format.header import MUJOCO
-
     obstacle = header.unverifiable or header.unknown_engine
     if obstacle:
         return f"no: {obstacle}"
     if header.mujoco_version != mujoco.__version__:
         return f"not to the bit: this is MuJoCo {mujoco.__version__}; states can be played"
-    if header.engine == MUJOCO:
+    if header.is_exact:
         return "yes"
     physics = f"physics of {header.engine} within a tolerance"
     if header.has_writes:

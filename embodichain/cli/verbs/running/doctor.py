@@ -194,7 +194,7 @@ def render_once() -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     renderer = OffscreenRenderer(model)
-    if renderer.kind == "rays":
+    if "color" not in renderer.outputs:
         raise RuntimeError("no OpenGL: depth and masks are drawn with rays, colours are not")
     viewpoint = Viewpoint.look_at((0.4, -0.4, 0.4), (0.0, 0.0, 0.0))
     picture = renderer.pictures(DataState(data), viewpoint, (64, 48))

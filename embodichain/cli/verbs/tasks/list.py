@@ -39,6 +39,8 @@ _KINDS = (
     "viewers",
     "learners",
     "steps",
+    "engines",
+    "renderers",
 )
 
 
@@ -69,6 +71,8 @@ class ListOptions:
     ("list terms --markdown", "the same as a page, with parameters and examples"),
     ("list formats", "what logs can be exported as"),
     ("list learners", "algorithms of algo=NAME"),
+    ("list engines", "what sim.engine=NAME finds"),
+    ("list renderers", "what draws pictures"),
     options=ListOptions,
     config_dir=True,
 )
@@ -96,6 +100,8 @@ def command(options: ListOptions) -> None:
         "viewers": _viewers,
         "learners": _learners,
         "steps": _steps,
+        "engines": _engines,
+        "renderers": _renderers,
     }
     rows = makers[options.what]()
     if options.json:
@@ -288,6 +294,20 @@ def _viewers() -> Rows:
     from embodichain.config.keys.viewers import VIEWERS
 
     return [{"name": name, "what": summary} for name, summary in VIEWERS.summaries().items()]
+
+
+def _engines() -> Rows:
+    """Engines, none of which is imported."""
+    from embodichain.lab.sim.engine.engine_register import ENGINES
+
+    return [{"name": name, "what": summary} for name, summary in ENGINES.summaries().items()]
+
+
+def _renderers() -> Rows:
+    """Renderers, none of which is imported."""
+    from embodichain.lab.sim.drawing.renderer_register import RENDERERS
+
+    return [{"name": name, "what": summary} for name, summary in RENDERERS.summaries().items()]
 
 
 def _learners() -> Rows:

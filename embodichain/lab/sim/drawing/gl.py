@@ -89,14 +89,10 @@ class Context:
 
 def hint() -> str:
     """What to do where no context can be made."""
-    first = ""
-    if os.environ.get(VARIABLE) == "rays":
-        first = f"{VARIABLE} is 'rays': unset it; "
     mujoco_gl = _mujoco_gl()
     if mujoco_gl not in ("", "egl"):
-        return f"{first}MUJOCO_GL is {mujoco_gl!r}: unset it, and install {_EGL}"
-    needs = f"off-screen rendering needs {_EGL}"
-    return f"{first}{needs}, or set MUJOCO_GL to a library that works here"
+        return f"MUJOCO_GL is {mujoco_gl!r}: unset it, and install {_EGL}"
+    return f"off-screen rendering needs {_EGL}, or set MUJOCO_GL to a library that works here"
 
 
 def context_class() -> Any:

@@ -6,7 +6,8 @@ import atexit
 import logging
 import os
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 
 import mujoco
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drawing.gl import VARIABLE, hint
+from embodichain.lab.sim.drawing.renderer_register import RENDERERS
 from embodichain.lab.sim.drawing.thread import render_thread
 from embodichain.lab.sim.drawing.views import (
     DrawnState,
@@ -24,9 +26,8 @@ from embodichain.lab.sim.drawing.views import (
     view_of,
 )
 from embodichain.utils.errors import ConfigError, Problem, RenderError
-from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["OffscreenRenderer", "need_colors"]
+__all__ = ["OffscreenRenderer", "hint_at_colors", "need_colors"]
 
 _log = logging.getLogger(__name__)
 
@@ -34,8 +35,8 @@ _log = logging.getLogger(__name__)
 class OffscreenRenderer:
     """Draws a scene; all drawing of a process happens in one thread.
 
-    The first of these that works is used, or the one that the environment variable
-    EMBODICHAIN_RENDERER names:
+    The one of `RENDERERS` that the environment variable EMBODICHAIN_RENDERER names is used, or the
+    first of these that works:
 
     - ``layered``: `BatchRenderer`, for OpenGL with layered rendering;
     - ``classic``: `ClassicRenderer`, for any other OpenGL;
@@ -47,6 +48,7 @@ class OffscreenRenderer:
     Attributes:
         kind: Which one is used.
         about: OpenGL's renderer and version as the driver says, or what draws instead.
+        outputs: What it can draw, of ``color``, ``depth`` and ``mask``.
 
     Raises:
         ConfigError: If EMBODICHAIN_RENDERER names no renderer.
@@ -57,9 +59,11 @@ class OffscreenRenderer:
         kinds = _kinds()
         self._thread = render_thread()
         opened, self._better_failed = self._thread.call(partial(_open, model, kinds))
-        self.kind, self.about, renderer = opened
-        self._renderer = renderer
-        self._forget = weakref.finalize(self, self._thread.call_later, renderer.close)
+        self._renderer = opened.renderer
+        self.kind = opened.kind
+        self.about = opened.renderer.about
+        self.outputs = RENDERERS[opened.kind].outputs
+        self._forget = weakref.finalize(self, self._thread.call_later, self._renderer.close)
         self._forget.atexit = False
         _opened.add(self)
         _close_at_exit()
@@ -68,18 +72,30 @@ class OffscreenRenderer:
         self, state: DrawnState, views: Sequence[View], envs: NDArray[np.int64] | None = None
     ) -> list[Pictures]:
         """Draw every view of n environments; see `Renderer`."""
+        self._check_outputs(views)
         # Poses are computed in this thread: an engine may have to recompute constants for them,
         # and calls its listeners then.
         state.derived("geom_xpos")
         try:
             drawn = self._thread.call(partial(self._renderer.draw, state, views, envs))
         except RenderError as error:
-            if self.kind != "rays":
+            if "color" in self.outputs:
                 raise
-            raise RenderError(f"{error}; {self._better_failed or hint()}") from error
+            raise RenderError(f"{error}; {self._better_failed or hint_at_colors()}") from error
         if self._better_failed is not None:
             _say_once(f"pictures are drawn by the renderer {self.kind!r}: {self._better_failed}")
         return drawn
+
+    def _check_outputs(self, views: Sequence[View]) -> None:
+        """Raise `RenderError` if a view has an output that the renderer cannot draw."""
+        wanted = {output for view in views for output in view.outputs}
+        missing = wanted.difference(self.outputs)
+        message = f"the renderer {self.kind!r} draws {' and '.join(self.outputs)} only"
+        if "color" in missing:
+            advice = self._better_failed or hint_at_colors()
+            raise RenderError(f"colours need OpenGL, and {message}; {advice}")
+        if missing:
+            raise RenderError(f"{message}, not {' and '.join(sorted(missing))}: unset {VARIABLE}")
 
     def pictures(
         self,
@@ -138,64 +154,56 @@ def need_colors(*keys: str) -> None:
         ConfigError: If EMBODICHAIN_RENDERER names no renderer.
         RenderError: If they cannot be drawn; names the packages to install.
     """
-    kinds = [kind for kind in _kinds() if kind != "rays"]
+    kinds = [kind for kind in _kinds() if "color" in RENDERERS[kind].outputs]
     if not keys:
         return
     thread = render_thread()
     try:
         if not kinds:
-            raise RenderError(f"colours need OpenGL; {hint()}")
-        (_, _, renderer), _ = thread.call(partial(_open, mujoco.MjSpec().compile(), kinds))
+            raise RenderError(f"colours need OpenGL; {hint_at_colors()}")
+        opened, _ = thread.call(partial(_open, mujoco.MjSpec().compile(), kinds))
     except RenderError as error:
         raise RenderError(f"{', '.join(keys)}: {error}") from error
-    thread.call(renderer.close)
+    thread.call(opened.renderer.close)
 
 
-Opened = tuple[str, str, Renderer]
+def hint_at_colors() -> str:
+    """What to do where the renderer draws no colours."""
+    named = os.environ.get(VARIABLE)
+    if named and named in RENDERERS and "color" not in RENDERERS[named].outputs:
+        return f"{VARIABLE} is {named!r}: unset it; {hint()}"
+    return hint()
 
 
-def _layered(model: mujoco.MjModel) -> Opened:
-    from embodichain.lab.sim.drawing.layered.batch_renderer import BatchRenderer
+@dataclass(frozen=True)
+class _Opened:
+    """A renderer that works here.
 
-    renderer = BatchRenderer(model)
-    context = renderer.context
-    return "layered", f"{context.renderer}, OpenGL {context.version}", renderer
+    Attributes:
+        kind: Its name in `RENDERERS`.
+        renderer: The renderer.
+    """
 
-
-def _classic(model: mujoco.MjModel) -> Opened:
-    from embodichain.lab.sim.drawing.classic import ClassicRenderer
-
-    renderer = ClassicRenderer(model)
-    return "classic", renderer.about, renderer
-
-
-def _rays(model: mujoco.MjModel) -> Opened:
-    from embodichain.lab.sim.drawing.rays import RayRenderer
-
-    renderer = RayRenderer(model)
-    return "rays", renderer.about, renderer
-
-
-_RENDERERS: dict[str, Callable[[mujoco.MjModel], Opened]] = {
-    "layered": _layered,
-    "classic": _classic,
-    "rays": _rays,
-}
+    kind: str
+    renderer: Renderer
 
 
 def _kinds() -> list[str]:
-    """The renderers to try, best first."""
-    kind = os.environ.get(VARIABLE)
-    if not kind:
-        return list(_RENDERERS)
-    if kind not in _RENDERERS:
-        message = f"no renderer {kind!r}; allowed: {', '.join(_RENDERERS)}."
-        problem = Problem(VARIABLE, message, did_you_mean(kind, _RENDERERS).strip())
+    """Names of the renderers to try, the best first.
+
+    Raises:
+        ConfigError: If EMBODICHAIN_RENDERER names no renderer.
+    """
+    named = os.environ.get(VARIABLE)
+    if not named:
+        return [name for name, kind in RENDERERS.items() if kind.is_tried]
+    if named not in RENDERERS:
+        problem = Problem(VARIABLE, RENDERERS.unknown(named))
         raise ConfigError([problem.at("environment variable")])
-    return [kind]
+    return [named]
 
 
-def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> tuple[Opened, str | None]:
+def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> tuple[_Opened, str | None]:
     """The first renderer of `kinds` that works here, and why the first of all does not.
 
     Called in the render thread.
@@ -203,7 +211,7 @@ def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> tuple[Opened, str | No
     first_error: RenderError | None = None
     for kind in kinds:
         try:
-            opened = _RENDERERS[kind](model)
+            opened = _Opened(kind, RENDERERS[kind].open(model))
         except RenderError as error:
             first_error = first_error or error
         else:

@@ -168,7 +168,12 @@ The first row is the top of the picture."""
 
 
 class Renderer(Protocol):
-    """Draws N environments x M cameras in one call."""
+    """Draws N environments x M cameras in one call; see `renderer_register`."""
+
+    @property
+    def about(self) -> str:
+        """What draws, for people and for logs: OpenGL's renderer and version."""
+        ...
 
     def draw(
         self, state: DrawnState, views: Sequence[View], envs: NDArray[np.int64] | None = None

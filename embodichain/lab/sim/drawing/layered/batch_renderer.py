@@ -102,6 +102,9 @@ class BatchRenderer:
         model: The compiled scene.
         mark: Called with the name of each part when it is done: ``upload``, ``draw``, ``read``.
 
+    Attributes:
+        about: OpenGL's renderer and version.
+
     Raises:
         RenderError: If OpenGL does not work here.
     """
@@ -110,6 +113,7 @@ class BatchRenderer:
         self, model: mujoco.MjModel, mark: Callable[[str], object] = lambda name: None
     ) -> None:
         self.context = Context()
+        self.about = f"{self.context.renderer}, OpenGL {self.context.version}"
         self._model = model
         self._mark = mark
         _warn_of_what_is_not_drawn(model)

@@ -1,0 +1,1 @@
+"""The renderers of this package, a module each, called as the renderer."""
