@@ -207,6 +207,7 @@ class _JointTargets:
 
     orientation: Orientation = "any"
     tool_speeds = (np.inf, np.inf)
+    joint_range = None
 
     def __init__(self, robot: Robot, joints: Iterable[int]) -> None:
         self._robot = robot

@@ -57,19 +57,23 @@ class Fingers:
         angle: Rad, in (-pi/2, pi/2]: about the tool's z axis, from its x axis to the line along
             which the fingers move; None if they do not move along one line across the z axis.
         reason: Why there is no angle; empty with one.
+        length: Metres along the tool's z axis, from it to the ends of the fingers; without fingers
+            to the end of the tool itself.
     """
 
     bodies: frozenset[int]
     angle: float | None
     reason: str = ""
+    length: float = 0.0
 
 
 def read_fingers(arm: ControlledArm) -> Fingers:
     """The fingers of an arm; without any (suction, no gripper) the tool's x axis counts."""
-    if arm.gripper is None:
-        return Fingers(frozenset(), 0.0)
     model = arm.asset.engine.model
     data = _reference_state(model)
+    if arm.gripper is None:
+        body = arm.term.solver.chain.body
+        return Fingers(frozenset(), 0.0, length=_length(model, data, frozenset([body]), arm))
     opening = _Opening(
         model=model,
         data=data,
@@ -77,14 +81,16 @@ def read_fingers(arm: ControlledArm) -> Fingers:
         tool=arm.term.solver.chain.body,
     )
     bodies = opening.moved_bodies()
+    length = _length(model, data, bodies, arm)
     finger_axis = arm.gripper.finger_axis
     if finger_axis is not None:
-        return Fingers(bodies, _line_angle(float(np.arctan2(finger_axis[1], finger_axis[0]))))
+        angle = _line_angle(float(np.arctan2(finger_axis[1], finger_axis[0])))
+        return Fingers(bodies, angle, length=length)
     if not bodies:
         return Fingers(bodies, 0.0)
     linear, angular = opening.velocities(bodies)
-    angle, reason = _fit_line(linear, angular)
-    return Fingers(bodies, angle, reason)
+    fitted_angle, reason = _fit_line(linear, angular)
+    return Fingers(bodies, fitted_angle, reason, length)
 
 
 def unclear_fingers(
@@ -334,6 +340,59 @@ def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
         bodies.append(body)
         body = int(model.body_parentid[body])
     return bodies
+
+
+def _length(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: frozenset[int], arm: ControlledArm
+) -> float:
+    """How far solid shapes of bodies reach beyond an arm's tool, along its z axis, m; 0 at least."""
+    tool = _tool_frame(data, arm)
+    ends = [0.0]
+    for geom in np.flatnonzero(np.isin(model.geom_bodyid, sorted(bodies))):
+        if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+            middle = float((data.geom_xpos[geom] - tool.pos) @ tool.axis)
+            ends.append(middle + _extent(model, int(geom), data.geom_xmat[geom], tool.axis))
+    return round(max(ends), _ROUNDED)
+
+
+@dataclass(frozen=True)
+class _ToolAxis:
+    """The origin of a tool, (3,), and its z axis, (3,), in the world."""
+
+    pos: F64
+    axis: F64
+
+
+def _tool_frame(data: mujoco.MjData, arm: ControlledArm) -> _ToolAxis:
+    """Where a tool is in a state; a link, site or geom."""
+    tool = arm.term.solver.chain.tool
+    number = int(tool.ids)
+    if tool.kind == "site":
+        return _ToolAxis(data.site_xpos[number], data.site_xmat[number].reshape(3, 3)[:, 2])
+    if tool.kind == "geom":
+        return _ToolAxis(data.geom_xpos[number], data.geom_xmat[number].reshape(3, 3)[:, 2])
+    return _ToolAxis(data.xpos[number], data.xmat[number].reshape(3, 3)[:, 2])
+
+
+def _extent(model: mujoco.MjModel, geom: int, axes: F64, direction: F64) -> float:
+    """How far a shape reaches from its frame's origin in a direction (3,), m."""
+    local = axes.reshape(3, 3).T @ direction
+    size = model.geom_size[geom]
+    kind = model.geom_type[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first = model.mesh_vertadr[mesh]
+        vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+        return float((vertices @ local).max())
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return float(np.abs(local) @ size)
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return float(size[0] + size[1] * abs(local[2]))
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return float(size[0] * np.hypot(local[0], local[1]) + size[1] * abs(local[2]))
+    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        return float(np.linalg.norm(local * size))
+    return float(size[0])  # a sphere
 
 
 def _fit_line(linear: F64, angular: F64) -> tuple[float | None, str]:

@@ -91,6 +91,7 @@ class Goal:
         held: Whether the pose is that of what the gripper holds.
         free: Whether any orientation of the tool will do.
         along: What moves straight on the way: the tool, or each joint.
+        tips: Whether the ends of the fingers, beyond the tool, are at the place.
     """
 
     target: Target | None = None
@@ -103,6 +104,7 @@ class Goal:
     held: bool = False
     free: bool = False
     along: Literal["tool", "joints"] = "tool"
+    tips: bool = False
 
 
 @dataclass(frozen=True)

@@ -189,10 +189,14 @@ def press(
     depth: Positive = 0.01,
     approach: NonNegative = 0.05,
     pressing: Fraction = 0.3,
+    tips: bool = False,
 ) -> Made:
-    """Moves before the target, `depth` beyond it at the speed `pressing`, and back."""
-    yield make.move(Goal(of, offset, axes, back=approach), 2 * _NEAR)
-    yield make.move(Goal(of, offset, axes, back=-depth), None, pressing)
+    """Moves before the target, `depth` beyond it at the speed `pressing`, and back.
+
+    With `tips`, the ends of the fingers move there, which are beyond the tool.
+    """
+    yield make.move(Goal(of, offset, axes, back=approach, tips=tips), 2 * _NEAR)
+    yield make.move(Goal(of, offset, axes, back=-depth, tips=tips), None, pressing)
     yield make.wait(0.3)
     yield make.move(Goal(back=approach + depth))
 

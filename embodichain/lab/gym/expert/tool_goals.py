@@ -93,7 +93,8 @@ class ToolGoals:
             rotation = self._rotation_to(goal.turn, facing, tool_quat, env_ids)
             quat = quat_multiply(rotation, tool_quat)
         # What is held, or the point ahead of the tool, is at the place: the tool is behind it.
-        held_offset = held_pos + np.tile([0.0, 0.0, goal.back], (len(env_ids), 1))
+        back = goal.back + (self._fingers.length if goal.tips else 0.0)
+        held_offset = held_pos + np.tile([0.0, 0.0, back], (len(env_ids), 1))
         return pos - quat_rotate(quat, held_offset), quat
 
     def _fingers_along_x(self, quat: F64) -> F64:

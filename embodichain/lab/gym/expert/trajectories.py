@@ -92,6 +92,9 @@ class ToolPath:
         self._count = num_envs
         self._solver = arm.term.solver
         self._is_free = arm.term.orientation == "free"
+        joint_range = arm.term.joint_range
+        self._low = None if joint_range is None else joint_range.low
+        self._high = None if joint_range is None else joint_range.high
         self._joint_speeds = arm.term.joint_speeds * _VELOCITY_MARGIN
         speed, turning_speed = arm.term.tool_speeds
         self._tool_speed = min(speed * _VELOCITY_MARGIN, _TOOL_SPEED)
@@ -256,12 +259,15 @@ class ToolPath:
         start_qpos = self._arm.asset.read_qpos()[env_ids].copy()
         start_qpos[:, self._solver.moving] = self._last_qpos[env_ids]
         orientation = None if free or self._is_free else quat
-        end_qpos, is_reachable = self._solver.inverse(start_qpos, pos, orientation, env_ids)
+        end_qpos, is_reachable = self._solver.inverse(
+            start_qpos, pos, orientation, env_ids, low=self._low, high=self._high
+        )
         shares = np.linspace(0.0, 1.0, _WAYPOINTS + 1)[:, None]
         start = start_qpos[:, None, self._solver.moving]
         end = end_qpos[:, None, self._solver.moving]
+        bounds = "the limits" if self._low is None else "the action's range"
         for k in np.flatnonzero(~is_reachable):
-            self.unreachable[int(env_ids[k])] = "no joint positions within the limits reach it"
+            self.unreachable[int(env_ids[k])] = f"no joint positions within {bounds} reach it"
         return start + shares * (end - start), is_reachable
 
     def _why_unreachable(
@@ -305,7 +311,9 @@ class ToolPath:
     ) -> tuple[F64, NDArray[np.bool_]]:
         """Return (n, D) joint positions for poses of the tool, and (n,) whether they reach them."""
         orientation = None if free or self._is_free else quat
-        return self._solver.inverse(seed, pos, orientation, env_ids, restarts=False)
+        return self._solver.inverse(
+            seed, pos, orientation, env_ids, restarts=False, low=self._low, high=self._high
+        )
 
     def _time_lines(
         self, env_ids: EnvIds, pos: F64, quat: F64, line: F64, speed: float

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from embodichain.utils.array_types import Floats
 
 __all__ = [
+    "JointRange",
     "MovesTool",
     "Orientation",
     "arm_solver",
@@ -39,6 +40,19 @@ _USUAL_HINGE_SPEED = np.pi
 """Speed in rad/s of hinges for which neither file nor drive has a limit."""
 _USUAL_SLIDE_SPEED = 1.0
 """Speed in m/s of slides, likewise."""
+
+
+@dataclasses.dataclass(frozen=True)
+class JointRange:
+    """Positions that an action can ask for, rad or m.
+
+    Attributes:
+        low: (k,) lowest ones.
+        high: (k,) highest.
+    """
+
+    low: Floats
+    high: Floats
 
 
 class MovesTool(Protocol):
@@ -59,6 +73,10 @@ class MovesTool(Protocol):
     @property
     def tool_speeds(self) -> tuple[float, float]:
         """Largest speeds of the tool, m/s and rad/s, that the action can ask for."""
+
+    @property
+    def joint_range(self) -> JointRange | None:
+        """Positions of the solver's moving joints that the action can ask for; None is no bound."""
 
     def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
         """The action that asks for a pose of the tool, within the action's bounds.

@@ -213,6 +213,8 @@ class ArmSolver:
         env_ids: EnvIndex | None = None,
         *,
         restarts: bool = True,
+        low: Floats | None = None,
+        high: Floats | None = None,
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """Find joint positions that move the tool to poses.
 
@@ -222,25 +224,34 @@ class ArmSolver:
             quat: (n, 4) target orientations; None leaves them free.
             env_ids: (n,) environments.
             restarts: Whether to search from other points where the initial ones fail.
+            low: (k,) lowest positions of the joints `moving`, where the limits are lower.
+            high: (k,) highest, where the limits are higher.
 
         Returns:
             (n, D) joint positions within the limits, and (n,) whether they reach the poses. Where
             they do not, they are the nearest that were found; where the initial ones do, these.
         """
         target = self.to_root(pos, quat, env_ids)
+        limits = self._narrowed_limits(env_ids, low, high)
         if quat is None or not self.has_closed_form:
-            return self._search(qpos, target, env_ids, self._samples if restarts else 0)
-        solutions, exist = self._solve_closed_form(qpos, target, env_ids)
+            searches = self._samples if restarts else 0
+            return self._search(qpos, target, env_ids, searches, limits)
+        solutions, exist = self._solve_closed_form(qpos, target, env_ids, limits)
         error = pose_error(self.frames(qpos, env_ids), target)
-        is_solved = (squared(error) < _SAME**2) & self._within_limits(qpos, env_ids)
+        is_solved = (squared(error) < _SAME**2) & self._within_limits(qpos, limits)
         nearest = np.where(is_solved[:, None], qpos, solutions[0])
         reached = is_solved | exist[0]
         # Where there is no solution, a search comes as near as it can.
         unsolved = np.flatnonzero(~reached)
         if len(unsolved):
             ids = unsolved if env_ids is None else env_ids[unsolved]
+            low_there, high_there = limits
             solutions, is_reached = self._search(
-                qpos[unsolved], target.pick(unsolved), ids, restarts=0
+                qpos[unsolved],
+                target.pick(unsolved),
+                ids,
+                restarts=0,
+                limits=(low_there[:, unsolved], high_there[:, unsolved]),
             )
             nearest[unsolved] = solutions
             reached[unsolved] = is_reached
@@ -262,7 +273,7 @@ class ArmSolver:
         target = self.to_root(pos, quat, env_ids)
         if not self.has_closed_form:
             return self._search_all(qpos, target, env_ids)
-        return self._solve_closed_form(qpos, target, env_ids)
+        return self._solve_closed_form(qpos, target, env_ids, self.limits(env_ids))
 
     def approach(
         self,
@@ -310,13 +321,28 @@ class ArmSolver:
         low, high = self._asset.drives.limits.of(self.moving, env_ids)
         return contiguous(low.T), contiguous(high.T)
 
+    def _narrowed_limits(
+        self, env_ids: EnvIndex | None, low: Floats | None, high: Floats | None
+    ) -> tuple[Floats, Floats]:
+        """`limits` where they are narrower than (k,) others."""
+        lowest, highest = self.limits(env_ids)
+        if low is not None:
+            lowest = np.maximum(lowest, low[:, None])
+        if high is not None:
+            highest = np.minimum(highest, high[:, None])
+        return lowest, highest
+
     def _solve_closed_form(
-        self, qpos: Floats, target: IkTargets, env_ids: EnvIndex | None
+        self,
+        qpos: Floats,
+        target: IkTargets,
+        env_ids: EnvIndex | None,
+        limits: tuple[Floats, Floats],
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """(8, n, D) solutions of the closed form, the nearest first; (8, n) whether they exist."""
         if self._closed_form is None or target.rotation is None:
             raise ValueError("there is no closed form")
-        low, high = self.limits(env_ids)
+        low, high = limits
         solutions, exist = self._closed_form.nearest(
             seed=self._in_chain(qpos),
             position=target.position,
@@ -354,18 +380,23 @@ class ArmSolver:
         all_joints[..., self.moving] = np.moveaxis(solutions, 1, -1)
         return all_joints
 
-    def _within_limits(self, qpos: Floats, env_ids: EnvIndex | None) -> NDArray[np.bool_]:
-        """(n,) whether the moving joints are within their limits."""
-        low, high = self.limits(env_ids)
+    def _within_limits(self, qpos: Floats, limits: tuple[Floats, Floats]) -> NDArray[np.bool_]:
+        """(n,) whether the moving joints are within limits (k, n)."""
+        low, high = limits
         moving_qpos = qpos[:, self.moving].T
         excess = np.maximum(low - moving_qpos, moving_qpos - high).max(axis=0)
         return np.asarray(excess <= 0.0)
 
     def _search(
-        self, qpos: Floats, target: IkTargets, env_ids: EnvIndex | None, restarts: int
+        self,
+        qpos: Floats,
+        target: IkTargets,
+        env_ids: EnvIndex | None,
+        restarts: int,
+        limits: tuple[Floats, Floats],
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """(n, D) joint positions of the best search, and (n,) whether it reaches the target."""
-        low, high = self.limits(env_ids)
+        low, high = limits
         start = self._in_chain(qpos)
         solution, reached = self._least_squares.solve(
             start, target, low, high, restarts=restarts, env_ids=env_ids

@@ -17,6 +17,7 @@ from embodichain.lab.gym.envs.managers.term import ActionMeaning
 from embodichain.lab.gym.envs.managers.terms.per_name import JointClip, PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._tools import (
+    JointRange,
     arm_solver,
     moving_joints,
     tool_orientation,
@@ -140,6 +141,11 @@ class EefTerm(JointTerm):
     def joint_speeds(self) -> Floats:
         """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
         return self._largest_change / self._period
+
+    @property
+    def joint_range(self) -> JointRange | None:
+        """None: the joints' limits are the only bounds."""
+        return None
 
     def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(N, A) the actions that move the tool, as far as their bounds allow.

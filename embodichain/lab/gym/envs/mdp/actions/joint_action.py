@@ -28,7 +28,7 @@ from embodichain.lab.gym.envs.managers.terms.per_name import (
     per_joint,
 )
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
-from embodichain.lab.gym.envs.mdp._tools import arm_solver, usual_speeds
+from embodichain.lab.gym.envs.mdp._tools import JointRange, arm_solver, usual_speeds
 from embodichain.lab.sim.compiler.names import exact_pattern
 from embodichain.utils.arrays import columns_of
 from embodichain.utils.errors import ConfigError, Problem
@@ -566,6 +566,15 @@ class JointAction(JointTerm):
             changes = np.abs([value_of(self.low), value_of(self.high)]).min(axis=0)
             speeds = np.minimum(speeds, changes[columns] / self._period)
         return speeds
+
+    @property
+    def joint_range(self) -> JointRange | None:
+        """The positions of the joints, from root to tool; None if targets are moved in steps."""
+        if self._is_motion or self._centre == "limits":
+            return None
+        columns, _ = self._moving
+        ends = np.stack([self._affine.value_of(self.low), self._affine.value_of(self.high)])
+        return JointRange(ends.min(axis=0)[columns], ends.max(axis=0)[columns])
 
     def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
         """(N, A) the action for joint positions; see `MovesTool`.

@@ -12,6 +12,7 @@ from embodichain.lab.gym.envs.managers.term import ActionMeaning
 from embodichain.lab.gym.envs.managers.terms.per_name import JointClip, PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._tools import (
+    JointRange,
     arm_solver,
     moving_joints,
     tool_orientation,
@@ -217,6 +218,11 @@ class OperationalSpace(JointTerm):
     def joint_speeds(self) -> Floats:
         """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
         return usual_speeds(self._asset, self._ids, self._solver)
+
+    @property
+    def joint_range(self) -> JointRange | None:
+        """None: the joints' limits are the only bounds."""
+        return None
 
     def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
         """(N, A) the action that moves the tool to a pose; see `MovesTool`."""
