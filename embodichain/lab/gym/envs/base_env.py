@@ -64,6 +64,7 @@ from embodichain.lab.gym.envs.scene_setup.scene_building import (
     add_declared_sensors,
     open_window,
     with_all_problems,
+    with_problems_of_other_terms,
 )
 from embodichain.lab.gym.envs.step.episodes import Episodes, parse_mode, seed_globals
 from embodichain.lab.gym.envs.step.judging import (
@@ -145,8 +146,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             without a function here (learners have their own buffers).
 
     Raises:
-        ConfigError: If the task is wrong; lists every mistake that can be found: of values of a
-            wrong type if there are any, else of terms and of the scene.
+        ConfigError: If the task is wrong; lists every mistake that can be found. Where values are
+            of a wrong type, those that only the compiled scene shows come later; where these are
+            values of entities, all others.
         DeviceError: If the device is unknown or has no engine.
         ValueError: If `compiled_scene` is that of another config.
     """
@@ -201,7 +203,17 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         **kwargs: Any,
     ) -> None:
         self.affordance_datas = {}
-        self.cfg = cfg = frozen_cfg(cfg, num_envs)
+        built_by_hooks = any(
+            getattr(type(self), hook) is not getattr(BaseEnv, hook)
+            for hook in ("_setup_robot", "_prepare_scene")
+        )
+        try:
+            self.cfg = frozen_cfg(cfg, num_envs)
+        except ConfigError as error:
+            if not isinstance(cfg, EnvCfg):
+                raise
+            raise with_problems_of_other_terms(error, cfg, built_by_hooks) from error
+        cfg = self.cfg
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
         self.render_mode = render_mode
@@ -239,8 +251,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             self._start(kwargs)
         except ConfigError as error:
             self.sim.destroy()
-            by_hooks = not self.overridden.isdisjoint(("_setup_robot", "_prepare_scene"))
-            raise with_all_problems(error, cfg, by_hooks) from error
+            raise with_all_problems(error, cfg, built_by_hooks) from error
         except BaseException:
             self.sim.destroy()
             raise

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.terms.check import check_terms
+from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS
 from embodichain.lab.gym.envs.scene_setup.declared_entities import (
     ENTITY_SECTIONS,
     DeclaredEntity,
@@ -31,6 +33,7 @@ __all__ = [
     "add_declared_sensors",
     "open_window",
     "with_all_problems",
+    "with_problems_of_other_terms",
 ]
 
 logger = logging.getLogger(__name__)
@@ -137,6 +140,26 @@ def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> 
     if any(problem.path in reported_paths for problem in new_problems):
         new_problems = []  # the same mistake with another message
     return ConfigError([*problems, *new_problems])
+
+
+def with_problems_of_other_terms(
+    error: ConfigError, cfg: EnvCfg, built_by_hooks: bool
+) -> ConfigError:
+    """Return an error about types with the mistakes that the terms of right types have.
+
+    Args:
+        error: The mistakes of type. Where they are in anything but terms, it is returned: entities
+            that cannot be read would make mistakes of what refers to them.
+        cfg: The task; not changed.
+        built_by_hooks: As of `with_all_problems`.
+    """
+    wrong_terms = {tuple(problem.path.split(".")[:2]) for problem in error.problems}
+    if any(len(term) < 2 or term[0] not in SECTIONS for term in wrong_terms):
+        return error
+    remaining = copy.deepcopy(cfg)
+    for section, name in wrong_terms:
+        getattr(remaining, section).pop(name, None)
+    return with_all_problems(error, remaining, built_by_hooks)
 
 
 def open_window(sim: SimulationManager, cfg: SimulationManagerCfg) -> None:

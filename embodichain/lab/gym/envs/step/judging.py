@@ -415,10 +415,9 @@ class StepJudge:
         """(N,) environments that diverged in this step, or None; without those pending a reset."""
         self._physics_diverged = self._env.sim.engine.take_diverged()
         mask = self._physics_diverged
-        if mask is None and self._is_on_host:
-            # As almost always.
-            if all_finite(result.obs.rows) and all_finite(result.reward):
-                return None
+        may_be_none = mask is None and self._is_on_host
+        if may_be_none and all_finite(result.obs.rows) and all_finite(result.reward):
+            return None  # as almost always
         for bad in (bad_rows(result.obs.rows), bad_rows(result.reward)):
             if bad is not None:
                 mask = bad if mask is None else mask | bad
