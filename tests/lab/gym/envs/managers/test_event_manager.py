@@ -202,7 +202,7 @@ def test_all_mistakes_come_at_once_with_their_paths(make, has_wrong_type: bool) 
         )
     paths = [p.path for p in caught.value.problems]
     expected = ["events.a.params.of", "events.b.params.entity_cfg.uid"]
-    # That ur10 is not an object is seen when the terms are built, which needs values of right types.
+    # That ur10 is not an object shows when terms are built, which needs values of right types.
     expected.append(
         "events.d.interval_range_s" if has_wrong_type else "events.c.params.entity_cfg.uid"
     )
