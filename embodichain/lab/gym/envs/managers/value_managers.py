@@ -352,9 +352,7 @@ class RewardManager(Manager[RewardCfg]):
         self._sums: F32 = env.arrays.full((len(self.terms), self.num_envs), 0.0, np.float32)
         self._sums_before = self._sums
         # Of this shape: row 0 is the reward of hooks, the others are value x weight of the terms.
-        self._summands: F32 = env.arrays.full(
-            (len(self.terms) + 1, self.num_envs), 0.0, np.float32
-        )
+        self._summands: F32 = env.arrays.full((len(self.terms) + 1, self.num_envs), 0.0, np.float32)
         self._names = tuple(self.terms)
         self.values = TermRows(())
 
@@ -424,10 +422,8 @@ class RewardManager(Manager[RewardCfg]):
                 return rewards
             return self._arrays.full(self.num_envs, 0.0, np.float32)
         env = self.env
-        if self._all_count:
-            values = np.empty_like(self._sums)
-        else:
-            values = np.zeros_like(self._sums)
+        # A term of weight 0 is not evaluated.
+        values = np.empty_like(self._sums) if self._all_count else np.zeros_like(self._sums)
         for row, name, call in self._calls:
             try:
                 value = call(env, obs, action, info)

@@ -312,7 +312,7 @@ class StepJudge:
     def _outcome(self, obs: Any, action: Any, info: Info | None) -> StepResult:
         """Return the result with terminations and metrics, added to ``info`` where it is made."""
         if info is None and self._never_ends:
-            result = self._going_on()
+            result = self._without_ends()
         else:
             result = self._ends(obs, action, info)
         result.metrics = self._metrics.compute(obs, action, info)
@@ -330,7 +330,7 @@ class StepJudge:
             result.success = result.metrics["success"] > _ZERO
         return result
 
-    def _going_on(self) -> StepResult:
+    def _without_ends(self) -> StepResult:
         """Return the result of a task without terminations and hooks."""
         return StepResult(
             success_terminated=self.nowhere,
@@ -415,10 +415,9 @@ class StepJudge:
         """(N,) environments that diverged in this step, or None; without those pending a reset."""
         self._physics = self._env.sim.engine.take_diverged()
         mask = self._physics
-        if mask is None and self._is_on_host:
-            # As almost always.
-            if all_finite(result.obs.rows) and all_finite(result.reward):
-                return None
+        is_finite = self._is_on_host and all_finite(result.obs.rows) and all_finite(result.reward)
+        if mask is None and is_finite:  # as almost always
+            return None
         for bad in (bad_rows(result.obs.rows), bad_rows(result.reward)):
             if bad is not None:
                 mask = bad if mask is None else mask | bad
