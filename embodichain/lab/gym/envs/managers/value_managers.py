@@ -423,9 +423,8 @@ class RewardManager(Manager[RewardCfg]):
                 return rewards
             return self._arrays.full(self.num_envs, 0.0, np.float32)
         env = self.env
-        # Rows of terms that do not count are not written.
-        empty_block = np.empty_like if self._all_count else np.zeros_like
-        values = empty_block(self._sums)
+        # A term of weight 0 is not evaluated.
+        values = np.empty_like(self._sums) if self._all_count else np.zeros_like(self._sums)
         for row, name, call in self._calls:
             try:
                 value = call(env, obs, action, info)

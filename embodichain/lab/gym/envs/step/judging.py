@@ -312,7 +312,7 @@ class StepJudge:
     def _outcome(self, obs: Any, action: Any, info: Info | None) -> StepResult:
         """Return the result with terminations and metrics, added to ``info`` where it is made."""
         if info is None and self._never_ends:
-            result = self._going_on()
+            result = self._without_ends()
         else:
             result = self._ends(obs, action, info)
         result.metrics = self._metrics.compute(obs, action, info)
@@ -330,7 +330,7 @@ class StepJudge:
             result.success = result.metrics["success"] > _ZERO
         return result
 
-    def _going_on(self) -> StepResult:
+    def _without_ends(self) -> StepResult:
         """Return the result of a task without terminations and hooks."""
         return StepResult(
             success_terminated=self.nowhere,
