@@ -3,7 +3,7 @@
 `python scripts/expert_table.py --write` plays 256 episodes of each, one process after another, and
 writes the table of docs/tasks.md; without `--write` it prints it. `--tasks` and `--embodiments`
 choose some: the other cells of the table stay as they are. An embodiment that lacks something is
-left out, and so is one whose expert cannot plan, because the task is out of its reach: ``-``.
+left out; where a task is out of an embodiment's reach, its cell says ``cannot: ...``.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def embodiments_of(task: str) -> list[str]:
 
 
 def success(task: str, embodiment: str, *, episodes: int, num_envs: int) -> str:
-    """Return the share of episodes that succeed, as text; ``-`` if the run is refused."""
+    """Return the share of episodes that succeed, as text; else why the run is refused."""
     count = min(num_envs, episodes)
     words = [f"task={task}", f"embodiment={embodiment}", "policy=expert", "seed=1", "record=none"]
     words += [f"num_envs={count}", f"episodes={episodes // count}", "scene_png=false", "--json"]
@@ -85,8 +85,17 @@ def success(task: str, embodiment: str, *, episodes: int, num_envs: int) -> str:
         )
     if done.returncode != 0:
         print(done.stderr, file=sys.stderr)
-        return "-"
+        return why_not(done.stderr)
     return f"{100 * json.loads(done.stdout)['metrics']['success']:.1f} %"
+
+
+def why_not(errors: str) -> str:
+    """Return in a few words why a run was refused; ``-`` for a reason that is not the reach."""
+    if "the tool cannot be there" in errors:
+        return "cannot: its home is out of reach"
+    if "reachable_by: cannot" in errors:
+        return "cannot: too few places in reach"
+    return "-"
 
 
 def read_cells(page: str) -> Cells:

@@ -63,6 +63,8 @@ def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
             values[section] = _terms(section, getattr(cfg, section))
     for name, term in env.action_manager.terms.items():
         _fill_in(values["actions"][name], getattr(term.instance, "filled_in", {}))
+    for name, term in env.event_manager.terms.items():
+        _fit(values["events"][name], getattr(term.instance, "fitted", {}))
     observations = {name: term for name, term in cfg.observations.items() if term.group == group}
     values["observations"] = _terms("observations", observations)
     return _plain(values)
@@ -101,6 +103,14 @@ def _fill_in(term: dict[str, Any], params: Mapping[str, Any]) -> None:
     """Add parameters that an action has taken from its robot's config."""
     term["params"] = {**term["params"], **params}
     term["takes"] = {**term["takes"], **dict.fromkeys(params, "given")}
+
+
+def _fit(term: dict[str, Any], params: Mapping[str, Any]) -> None:
+    """Replace parameters of an event by what they have changed, if anything."""
+    changed = {key: value for key, value in params.items() if value is not None}
+    for part in ("params", "takes"):
+        others = {key: value for key, value in term[part].items() if key not in params}
+        term[part] = others | (changed if part == "params" else dict.fromkeys(changed, "given"))
 
 
 def _initial(env: BaseEnv) -> dict[str, Any]:

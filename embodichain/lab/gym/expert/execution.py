@@ -10,7 +10,7 @@ import numpy as np
 from embodichain.lab.gym.expert.arms import ControlledArm, arms_of
 from embodichain.lab.gym.expert.fingers import Fingers, read_fingers, unclear_fingers
 from embodichain.lab.gym.expert.grasps import NOTHING, Grasp
-from embodichain.lab.gym.expert.instructions import EXACT, Grip, Instruction, Move, Wait
+from embodichain.lab.gym.expert.instructions import EXACT, Facing, Grip, Instruction, Move, Wait
 from embodichain.lab.gym.expert.program import Program, check_steps, targets_in
 from embodichain.lab.gym.expert.pushes import Pushes
 from embodichain.lab.gym.expert.targets import WORLD, TargetPoses, target_name
@@ -311,7 +311,25 @@ class Execution:
         if not len(env_ids):
             return
         pos, quat = arm.goals.pose(move.goal, env_ids)
-        is_reachable = arm.path.plan(
+        is_reachable = self._plan(arm, move, env_ids, pos, quat)
+        # Where a joint's limit is in the way, other directions that are as good.
+        symmetry = move.goal.turn.symmetry if isinstance(move.goal.turn, Facing) else 1
+        for turns in range(1, symmetry):
+            missed = np.flatnonzero(~is_reachable)
+            if not len(missed):
+                break
+            other_pos, other_quat = arm.goals.pose(move.goal, env_ids[missed], turns)
+            is_reachable[missed] = self._plan(arm, move, env_ids[missed], other_pos, other_quat)
+        for env_id, place in zip(env_ids[~is_reachable], pos[~is_reachable], strict=True):
+            reason = arm.path.unreachable[int(env_id)]
+            why = f"no straight line of the tool to {as_place(place)}: {reason}"
+            self._fail(arm, np.array([env_id]), why)
+
+    def _plan(
+        self, arm: _ArmExecution, move: Move, env_ids: EnvIds, pos: F64, quat: F64
+    ) -> NDArray[np.bool_]:
+        """Plan a path of a tool to poses; (n,) whether they can be reached."""
+        return arm.path.plan(
             env_ids,
             pos,
             quat,
@@ -319,10 +337,6 @@ class Execution:
             free=move.goal.free,
             along=move.goal.along,
         )
-        for env_id, place in zip(env_ids[~is_reachable], pos[~is_reachable], strict=True):
-            reason = arm.path.unreachable[int(env_id)]
-            why = f"no straight line of the tool to {as_place(place)}: {reason}"
-            self._fail(arm, np.array([env_id]), why)
 
     def _finish(self, index: int, arm: _ArmExecution, env_ids: EnvIds) -> None:
         """See what an instruction has achieved: what a gripper closed on."""

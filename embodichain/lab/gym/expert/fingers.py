@@ -345,7 +345,7 @@ def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
 def _length(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: frozenset[int], arm: ControlledArm
 ) -> float:
-    """How far solid shapes of bodies reach beyond an arm's tool along its z axis, m, at least 0."""
+    """How far solid shapes of bodies reach beyond a tool, along its z axis, m; 0 at least."""
     tool = _tool_frame(data, arm)
     ends = [0.0]
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, sorted(bodies))):

@@ -60,8 +60,11 @@ class ToolGoals:
         self._grasp = grasp
         self._targets = targets
 
-    def pose(self, goal: Goal, env_ids: EnvIds) -> tuple[F64, F64]:
-        """Position (n, 3) and orientation (n, 4) of the tool for a goal, in n environments."""
+    def pose(self, goal: Goal, env_ids: EnvIds, turns: int = 0) -> tuple[F64, F64]:
+        """Position (n, 3) and orientation (n, 4) of the tool for a goal, in n environments.
+
+        Of the directions of a `Facing` that are as good, `turns` picks one: 0 is the nearest.
+        """
         tool_pos = self._path.path_pos[env_ids]
         tool_quat = self._path.path_quat[env_ids]
         pos = tool_pos
@@ -90,7 +93,7 @@ class ToolGoals:
             facing = quat_multiply(tool_quat, held_quat)
             if not goal.held:
                 facing = self._fingers_along_x(facing)
-            rotation = self._rotation_to(goal.turn, facing, tool_quat, env_ids)
+            rotation = self._rotation_to(goal.turn, facing, tool_quat, env_ids, turns)
             quat = quat_multiply(rotation, tool_quat)
         # What is held, or the point ahead of the tool, is at the place: the tool is behind it.
         back = goal.back + (self._fingers.length if goal.tips else 0.0)
@@ -128,12 +131,20 @@ class ToolGoals:
             quat[holds_this] = quat_multiply(to_tool[holds_this], target_quat[env_ids][holds_this])
         return pos, quat
 
-    def _rotation_to(self, turn: Facing, facing: F64, tool_quat: F64, env_ids: EnvIds) -> F64:
-        """(n, 4) smallest rotation about the vertical that makes axes parallel to the target's."""
+    def _rotation_to(
+        self, turn: Facing, facing: F64, tool_quat: F64, env_ids: EnvIds, turns: int
+    ) -> F64:
+        """(n, 4) rotation about the vertical that makes axes parallel to the target's.
+
+        With 0 `turns` the smallest one; each adds the angle between two directions as good.
+        """
         _, align_quat = self._targets(turn.target)
         period = 2.0 * np.pi / turn.symmetry
         angle = _heading(align_quat[env_ids]) - _heading(facing) + 0.5 * period
         angle = angle - period * np.floor(angle / period) - 0.5 * period
+        if turns:
+            angle = angle + period * turns
+            angle = angle - 2.0 * np.pi * (angle > np.pi)
         if not turn.level:
             is_upright = np.abs(quat_to_matrix(tool_quat)[:, 2, 2]) > _VERTICAL
             angle = np.where(is_upright, angle, 0.0)

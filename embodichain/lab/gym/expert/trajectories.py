@@ -259,15 +259,12 @@ class ToolPath:
         start_qpos = self._arm.asset.read_qpos()[env_ids].copy()
         start_qpos[:, self._solver.moving] = self._last_qpos[env_ids]
         orientation = None if free or self._is_free else quat
-        end_qpos, is_reachable = self._solver.inverse(
-            start_qpos, pos, orientation, env_ids, low=self._low, high=self._high
-        )
+        end_qpos, is_reachable = self._inverse(start_qpos, pos, orientation, env_ids, restarts=True)
         shares = np.linspace(0.0, 1.0, _WAYPOINTS + 1)[:, None]
         start = start_qpos[:, None, self._solver.moving]
         end = end_qpos[:, None, self._solver.moving]
-        bounds = "the limits" if self._low is None else "the action's range"
         for k in np.flatnonzero(~is_reachable):
-            self.unreachable[int(env_ids[k])] = f"no joint positions within {bounds} reach it"
+            self.unreachable[int(env_ids[k])] = "no joint positions within the limits reach it"
         return start + shares * (end - start), is_reachable
 
     def _why_unreachable(
@@ -311,9 +308,29 @@ class ToolPath:
     ) -> tuple[F64, NDArray[np.bool_]]:
         """Return (n, D) joint positions for poses of the tool, and (n,) whether they reach them."""
         orientation = None if free or self._is_free else quat
-        return self._solver.inverse(
-            seed, pos, orientation, env_ids, restarts=False, low=self._low, high=self._high
+        return self._inverse(seed, pos, orientation, env_ids, restarts=False)
+
+    def _inverse(
+        self, seed: F64, pos: F64, quat: F64 | None, env_ids: EnvIds, *, restarts: bool
+    ) -> tuple[F64, NDArray[np.bool_]]:
+        """Return the same, within the action's range.
+
+        Where only positions beyond that range reach a pose, these are the nearest within it, which
+        may be near enough.
+        """
+        qpos, is_reached = self._solver.inverse(
+            seed, pos, quat, env_ids, restarts=restarts, low=self._low, high=self._high
         )
+        missed = np.flatnonzero(~is_reached)
+        if self._low is not None and len(missed):
+            _, is_reached[missed] = self._solver.inverse(
+                seed[missed],
+                pos[missed],
+                None if quat is None else quat[missed],
+                env_ids[missed],
+                restarts=restarts,
+            )
+        return qpos, is_reached
 
     def _time_lines(
         self, env_ids: EnvIds, pos: F64, quat: F64, line: F64, speed: float

@@ -24,7 +24,7 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
 from embodichain.utils.random import RandomStreams
 
-__all__ = ["check_home", "move_to_home"]
+__all__ = ["can_reach", "check_home", "move_to_home"]
 
 _NEAR = 1e-4
 """Metres: a tool that is as near to its home has reached it."""
@@ -34,6 +34,9 @@ _EXACT = 1e-10
 """m and rad: where a search ends."""
 _ITERATIONS = 200
 _RESTARTS = 30
+_REACH_RESTARTS = 8
+_REACHED = 0.005
+"""Metres: a place that a tool comes as near to is in its reach."""
 _DAMPING = 1e-6
 _LONGEST_STEP = 0.3
 """rad or m of one joint in one iteration."""
@@ -158,6 +161,57 @@ def move_to_home(
         f"the tool cannot be there: the nearest pose that was found is {1000 * nearest:.0f} mm away"
     )
     return qpos, [Problem("pos", message)]
+
+
+def can_reach(
+    model: mujoco.MjModel,
+    *,
+    start: F64,
+    kind: FrameKind,
+    tool: int,
+    joints: NDArray[np.int64],
+    places: F64,
+    low: F64 | None,
+    high: F64 | None,
+    enough: float,
+) -> bool:
+    """Whether a tool reaches a share of some places, in any orientation.
+
+    Args:
+        model: A model of the robot, alone or in a scene.
+        start: (nq,) positions of all joints, from which searches begin.
+        kind: The kind of the tool's frame.
+        tool: MuJoCo's id of it.
+        joints: (k,) MuJoCo's ids of the joints that may move.
+        places: (n, 3) m.
+        low: (k,) lowest positions of the joints, where the limits are lower; None for the limits.
+        high: (k,) highest.
+        enough: The share, up to 1.
+    """
+    data = mujoco.MjData(model)
+    arm = _Arm(model, data, kind, tool, joints, np.zeros(0, np.int64))
+    lowest, highest = _limits(model, joints)
+    if low is not None:
+        lowest = np.maximum(lowest, low)
+    if high is not None:
+        highest = np.minimum(highest, high)
+    shares = RandomStreams(0, 1).uniform("reach", (_REACH_RESTARTS, len(joints)))[0]
+    most_missing = int((1.0 - enough) * len(places))
+    missing = 0
+    for place in places:
+        reached = False
+        for share in [None, *shares]:
+            data.qpos[:] = start
+            if share is not None:
+                data.qpos[model.jnt_qposadr[joints]] = lowest + (highest - lowest) * share
+            reached, distance = _search(arm, place, None, lowest, highest)
+            reached = reached or distance < _REACHED
+            if reached:
+                break
+        missing += not reached
+        if missing > most_missing:
+            return False
+    return True
 
 
 def _find_tool(

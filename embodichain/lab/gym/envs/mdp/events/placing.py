@@ -6,6 +6,7 @@ velocities here are in the environment's.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +18,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._ground import above_ground, ground_of
+from embodichain.lab.gym.envs.mdp._reach import fitted_share, initial_pose_of
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.utils.arrays import contiguous, is_host
 from embodichain.utils.errors import ConfigError, Problem
@@ -48,6 +50,7 @@ __all__ = [
     "write_root_velocity",
 ]
 
+_log = logging.getLogger(__name__)
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
@@ -179,6 +182,15 @@ class ResetRootStateUniform(Term):
             write_root_velocity(asset, zeros, env_ids)
 
 
+def _rounded(quat: Floats) -> Floats:
+    """(4,) an orientation to a thousandth, normalized, its first part that is not 0 positive."""
+    rounded = np.round(quat, 3) + 0.0  # no -0
+    first = rounded[np.flatnonzero(rounded)[0]]
+    rounded = np.where(rounded == 0.0, 0.0, rounded * np.sign(first))
+    normalized: Floats = rounded / np.sqrt((rounded * rounded).sum())
+    return normalized
+
+
 def _rows_of(row: Any, env: TermContext) -> Floats:
     """(N, K) the same row (K,) for every environment."""
     return env.arrays.put(np.tile(np.asarray(row, np.float64), (env.num_envs, 1)))
@@ -202,6 +214,11 @@ class RandomizePose(Term):
             False uses it as the orientation.
         relative_to: An entity, or a link, site or geom of one; the draw is added to its present position instead
             of the initial one. Its orientation is not used.
+        turned_as: An entity, or a link, site or geom of one, whose orientation at the start of the
+            run, to a thousandth, stands for the initial one.
+        reachable_by: An action term that moves a tool. The position range is made smaller, as a
+            whole, until the tool reaches 19 of 20 places in it within the action's bounds. Needs
+            `relative_to`.
         physics_update_step: Physics steps of these environments afterwards, so that the entity
             can settle; -1 or 0 is none.
 
@@ -219,6 +236,8 @@ class RandomizePose(Term):
         relative_rotation: bool = False,
         relative_to: Body | None = None,
         physics_update_step: Annotated[int, Field(ge=-1)] = -1,
+        turned_as: Body | None = None,
+        reachable_by: str | None = None,
     ) -> None:
         asset = entity_cfg.asset
         self._asset = asset
@@ -248,9 +267,34 @@ class RandomizePose(Term):
             self._position = Uniform("position", low, high)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         self._relative_rotation = relative_rotation
+        self.fitted: dict[str, Any] = {}
+        if turned_as is not None:
+            quat0 = _rounded(initial_pose_of(env, turned_as.frame)[1])
+            self._quat0 = _rows_of(quat0, env)
+            is_changed = not np.allclose(quat0, asset.index.quat0, rtol=0.0, atol=1e-9)
+            self.fitted["turned_as"] = quat0.tolist() if is_changed else None
+        self._reachable_by = reachable_by
+        if reachable_by is not None and (relative_to is None or self._position is None):
+            message = "reachable_by needs relative_to and position_range"
+            raise ConfigError([Problem("reachable_by", message)])
+
+    def _fit(self, env: TermContext, position: Uniform, relative_to: ResolvedEntity) -> None:
+        """Make the range of positions smaller until an arm reaches it."""
+        origin, _ = initial_pose_of(env, relative_to.frame)
+        name = self._reachable_by or ""
+        corners = np.stack(np.meshgrid(*([[0.0, 0.5, 1.0]] * 3), indexing="ij"), axis=-1)
+        offsets = position.low + corners.reshape(-1, 3) * (position.high - position.low)
+        share = fitted_share(env, name, origin, offsets)
+        self.fitted["reachable_by"] = None if share == 1.0 else share
+        if share < 1.0:
+            _log.info("%s: places are drawn in to %g of the range", name, share)
+            self._position = Uniform("position", share * position.low, share * position.high)
+        self._reachable_by = None
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the poses of these environments."""
+        if self._reachable_by is not None and self._position and self._relative_to is not None:
+            self._fit(env, self._position, self._relative_to)
         quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
         quat: Floats | None = quat0
         if self._rotation is None and self._may_skip_orientation(quat0, env_ids):
@@ -288,6 +332,10 @@ class RandomizePose(Term):
 
 
 _RIGHT_ANGLE = 1.5707963267948966
+_SPIRAL = 32
+"""Places on a sphere that must be reached."""
+_GOLDEN = 0.6180339887498949
+"""Of a full turn, from one of these places to the next."""
 
 
 @register_term("event", name="randomize_object_position_in_shell")
@@ -303,6 +351,8 @@ class RandomizeObjectPositionInShell(Term):
         radius_range: [low, high] in metres.
         azimuth_range: [low, high] in rad about z, from +x towards +y.
         elevation_range: [low, high] in rad above the horizontal, within +-pi/2.
+        reachable_by: An action term that moves a tool. Both radii are made smaller by one factor,
+            until the tool reaches 19 of 20 places within the action's bounds.
 
     Example:
         ``{func: randomize_object_position_in_shell, mode: reset, params: {of: {uid: goal}, relative_to: {uid: ur10}, radius_range: [0.4, 1.1]}}``
@@ -316,6 +366,7 @@ class RandomizeObjectPositionInShell(Term):
         radius_range: Range,
         azimuth_range: Range = (-3.141592653589793, 3.141592653589793),
         elevation_range: Range = (-_RIGHT_ANGLE, _RIGHT_ANGLE),
+        reachable_by: str | None = None,
     ) -> None:
         problems: list[Problem] = []
         if entity_cfg.is_articulation:
@@ -334,11 +385,39 @@ class RandomizeObjectPositionInShell(Term):
             [radius_range[i] ** 3, azimuth_range[i], np.sin(elevation_range[i])] for i in (0, 1)
         )
         self._shell = Uniform("shell", low, high)
+        self._reachable_by = reachable_by
+        self.fitted: dict[str, Any] = {}
         self._quat = _rows_of(self._asset.index.quat0, env)
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
+    def _fit(self, env: TermContext) -> None:
+        """Make the shell smaller until an arm reaches it."""
+        name = self._reachable_by or ""
+        origin, _ = initial_pose_of(env, self._centre.frame)
+        # A spiral on each of both spheres, and on one between them.
+        count = 3 * _SPIRAL
+        part = (np.arange(count) + 0.5) / count
+        ends = np.stack([self._shell.low, self._shell.high])
+        radius = np.cbrt(ends[:, 0])[np.array([0, 1, 1])].copy()
+        radius[2] = 0.5 * (radius[0] + radius[1])
+        turns = _GOLDEN * np.arange(count) % 1.0
+        azimuth = ends[0, 1] + turns * (ends[1, 1] - ends[0, 1])
+        sine = ends[0, 2] + part * (ends[1, 2] - ends[0, 2])
+        flat = np.sqrt(1.0 - sine * sine)
+        directions = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), sine], axis=1)
+        offsets = np.tile(radius, _SPIRAL)[:, None] * directions
+        share = fitted_share(env, name, origin, offsets)
+        self.fitted["reachable_by"] = None if share == 1.0 else share
+        if share < 1.0:
+            _log.info("%s: places are drawn in to %g of the range", name, share)
+            factors = np.array([share**3, 1.0, 1.0])
+            self._shell = Uniform("shell", ends[0] * factors, ends[1] * factors)
+        self._reachable_by = None
+
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the positions of these environments."""
+        if self._reachable_by is not None:
+            self._fit(env)
         drawn = self._shell(env.event_manager, env_ids)
         # Contiguous columns: numpy may round a strided transcendental function differently.
         radius_cubed, azimuth, sine = (contiguous(drawn[:, i]) for i in range(3))
