@@ -8,7 +8,7 @@ import pytest
 
 import embodichain
 from embodichain.lab.gym.envs.mdp._model_fields import Values
-from embodichain.lab.gym.envs.mdp.events.randomize import Draw, DrawnField
+from embodichain.lab.gym.envs.mdp.events.randomize import DrawnField, FieldDraw
 
 N = 1000
 COMPILED = (-9.81, 0.0, 2.5)
@@ -59,7 +59,7 @@ def test_a_thousand_draws_follow_the_formula(env, distribution, operation, compi
     for low, high in given:
         values = Values(["it"], np.array([compiled]), lambda ids: lambda drawn, ids: None)
         field = DrawnField("it", [low, high], operation, values)
-        (drawn,) = Draw({"it": field}, distribution)(env, None)
+        (drawn,) = FieldDraw({"it": field}, distribution)(env, None)
         check(drawn[:, 0], distribution, operation, compiled, low, high)
 
 
