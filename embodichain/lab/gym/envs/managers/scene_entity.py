@@ -243,7 +243,7 @@ class ResolvedEntity:
 
     def qpos(self) -> Floats:
         """(N, K) joint positions, rad or m; do not write to it or store it."""
-        qpos = self.asset.read_qpos()  # type: ignore[union-attr]  # joints: an articulation
+        qpos = self.articulation.read_qpos()
         return qpos if self.all_joints else qpos[:, self._columns]
 
     @cached_property
@@ -261,7 +261,7 @@ class ResolvedEntity:
 
     def qvel(self) -> Floats:
         """(N, K) joint velocities, rad/s or m/s; do not write to it or store it."""
-        qvel = self.asset.read_qvel()  # type: ignore[union-attr]  # joints: an articulation
+        qvel = self.articulation.read_qvel()
         return qvel if self.all_joints else qvel[:, self._columns]
 
     def target_qpos(self) -> Floats:
