@@ -4,12 +4,14 @@ import importlib.metadata as metadata
 import json
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from embodichain.cli import main
 from embodichain.cli.verbs.running.doctor import EXTRAS
+from embodichain.lab.sim.drawing.renderer_register import RENDERERS
 
 PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -34,13 +36,16 @@ def test_every_extra_of_the_package_is_listed_with_its_packages():
 
 def test_doctor_says_what_is_there_and_how_to_get_the_rest(capsys, monkeypatch):
     versions = metadata.version
+    gilded = replace(RENDERERS["rays"], requires="gold-leaf>=2")
+    # A register has no method to forget what a test adds, as nothing else asks.
+    monkeypatch.setattr(RENDERERS, "_members", {**dict(RENDERERS.items()), "gilded": gilded})
 
-    def without_two(name):
-        if name in ("onnxruntime", "matplotlib"):
+    def without_three(name):
+        if name in ("onnxruntime", "matplotlib", "mujoco-warp"):
             raise metadata.PackageNotFoundError(name)
         return versions(name)
 
-    monkeypatch.setattr(metadata, "version", without_two)
+    monkeypatch.setattr(metadata, "version", without_three)
     assert main(["doctor", "--json"]) == 0
     checks = {check["part"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
     assert set(EXTRAS) <= set(checks)
@@ -50,6 +55,14 @@ def test_doctor_says_what_is_there_and_how_to_get_the_rest(capsys, monkeypatch):
     assert checks["plot"]["state"] == "missing"
     assert checks["plot"]["advice"] == (
         "curves of trainings as PNG: pip install 'embodichain[plot]'"
+    )
+    # What needs an extra is what is registered with it, and so are packages of other packages.
+    assert checks["gpu"]["advice"] == (
+        "MuJoCo Warp: device=cuda, sim.engine=warp: pip install 'embodichain[gpu]'"
+    )
+    assert checks["gold-leaf"]["state"] == "missing"
+    assert checks["gold-leaf"]["advice"] == (
+        "EMBODICHAIN_RENDERER=gilded: pip install 'gold-leaf>=2'"
     )
     assert checks["export"]["found"] == (
         f"not installed: onnxruntime (there: onnx {versions('onnx')})"

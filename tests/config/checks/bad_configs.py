@@ -259,6 +259,11 @@ BAD = {
         "sim.engine=warp",
         overrides=("device=cuda", "sim.engine=mujoco"),
     ),
+    "an engine that does not exist": bad(
+        "command line: sim.engine: expected one of 'mujoco', 'warp', got 'mujco'. Did you mean "
+        "'mujoco'?",
+        overrides=("sim.engine=mujco",),
+    ),
     "memory of an engine that is not used": bad(
         "command line: sim.warp.njmax: is for sim.engine=warp, but the engine is mujoco",
         overrides=("sim.warp.njmax=64",),

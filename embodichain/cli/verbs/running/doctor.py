@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import platform
+import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -14,21 +16,22 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.output import print_json, print_table
 from embodichain.cli.verb import verb
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.register import Register
 from embodichain.utils.system import platforms
 
 __all__ = ["EXTRAS", "Check", "command"]
 
 EXTRAS = {
     "robots": ("robots of example-robot-data", "example-robot-data"),
-    "rsl-rl": ("trainings on the environment's device: algo=rsl_rl_ppo", "rsl-rl-lib"),
-    "skrl": ("trainings on the environment's device: algo=skrl_ppo", "skrl"),
-    "gpu": ("MuJoCo Warp: sim.engine=warp, device=cuda", "mujoco-warp", "warp-lang"),
+    "rsl-rl": ("trainings on the environment's device", "rsl-rl-lib"),
+    "skrl": ("trainings on the environment's device", "skrl"),
+    "gpu": ("MuJoCo Warp: device=cuda", "mujoco-warp", "warp-lang"),
     "decompose": ("convex parts of meshes: collision: decompose", "coacd"),
     "plot": ("curves of trainings as PNG", "matplotlib"),
     "wandb": ("trainings in Weights & Biases", "wandb"),
@@ -40,8 +43,8 @@ EXTRAS = {
         "alembic",
         "sqlalchemy",
     ),
-    "slurm": ("sweeps on Slurm: hydra/launcher=slurm", "submitit"),
-    "ray": ("many machines: sim.backend=ray, hydra/launcher=ray", "ray", "cloudpickle"),
+    "slurm": ("sweeps on Slurm", "submitit"),
+    "ray": ("many machines: sim.backend=ray", "ray", "cloudpickle"),
     "export": ("policies as ONNX files", "onnx", "onnxruntime"),
     "video": ("films: video=true, replay --video", "imageio-ffmpeg"),
     "h264": ("videos of cameras in logs: record.images", "av"),
@@ -52,7 +55,9 @@ EXTRAS = {
     "rerun": ("logs as recordings for Rerun", "rerun-sdk"),
     "lerobot": ("logs as LeRobot data sets", "pandas", "pyarrow", "imageio-ffmpeg"),
 }
-"""Extra of this package -> its purpose and its packages (versions are in `pyproject.toml`)."""
+"""Extra of this package -> its purpose and its packages (versions are in `pyproject.toml`).
+
+What registers name it is added to its purpose: `sim.engine=warp`."""
 OTHERS = {
     "tensorboard": "event files of trainings",
     "sb3-contrib": "algorithms TRPO, TQC, CrossQ, RecurrentPPO",
@@ -226,11 +231,49 @@ def _disk() -> Iterator[Check]:
 
 
 def _optional() -> Iterator[Check]:
+    users = _users_of_packages()
     for extra, (purpose, *packages) in EXTRAS.items():
-        yield _check_packages(extra, packages, f"{purpose}: pip install 'embodichain[{extra}]'")
+        requirement = f"embodichain[{extra}]"
+        about = ", ".join([purpose, *users.pop(requirement, [])])
+        yield _check_packages(extra, packages, f"{about}: pip install '{requirement}'")
+    for requirement, things in users.items():  # of what packages outside register
+        name = re.split(r"[^\w.-]", requirement)[0]
+        advice = f"{', '.join(things)}: pip install {shlex.quote(requirement)}"
+        yield _check_packages(name, [name], advice)
     for package, purpose in OTHERS.items():
         yield _check_packages(package, [package], f"{purpose}: pip install {package}")
     yield _cuda()
+
+
+def _users_of_packages() -> dict[str, list[str]]:
+    """What pip installs -> how configs and options name the registered things that need it."""
+    from embodichain.config.keys.launchers import LAUNCHERS
+    from embodichain.config.keys.learners import LEARNERS
+    from embodichain.lab.sim.drawing.renderer_register import RENDERERS
+    from embodichain.lab.sim.engine.engine_register import ENGINES
+    from embodichain.recording.export.format_register import EPISODE_FORMATS, FORMATS
+
+    registers: dict[str, list[Register[Any]]] = {
+        "sim.engine=": [ENGINES],
+        "EMBODICHAIN_RENDERER=": [RENDERERS],
+        "algo=": [LEARNERS],
+        "hydra/launcher=": [LAUNCHERS],
+    }
+    try:
+        process.check_mujoco_gl()
+    except ConfigError:  # reported above; formats import MuJoCo
+        pass
+    else:
+        registers["--format "] = [FORMATS, EPISODE_FORMATS]
+    users: dict[str, list[str]] = {}
+    for key, group in registers.items():
+        for register in group:
+            for name, thing in register.items():
+                things = users.setdefault(thing.requires, [])
+                if f"{key}{name}" not in things:
+                    things.append(f"{key}{name}")
+    users.pop("", None)
+    return users
 
 
 def _check_packages(name: str, packages: Sequence[str], advice: str) -> Check:
