@@ -239,3 +239,63 @@ def test_list_and_new(empty_cwd, capsys):
     assert main(["new", "embodiment", "my_arm", "--robot", "my_arm.urdf"]) == 2
     assert main(["new", "embodiment", "panda", "--robot", "my_arm.urdf"]) == 2
     assert main(["new", "embodiment", "other"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("task", "embodiment", "share"),
+    [("reach", "ur10", None), ("reach_workspace", "ur10", None), ("reach", "so101", 0.25)],
+)
+def test_goals_are_drawn_in_for_a_shorter_arm_only(task, embodiment, share):
+    env = embodichain.make(task, 1, ["seed=1", f"embodiment={embodiment}", "~task.expert"])
+    env.reset()
+    assert env.event_manager.terms["place_goal"].instance.fitted == {"reachable_by": share}
+    env.close()
+
+
+def test_a_goal_has_the_orientation_of_the_tool():
+    for embodiment, quat in (
+        ("ur10", [0, 0, 1, 0]),
+        ("ur10_gripper", [0, 0.5**0.5, -(0.5**0.5), 0]),
+    ):
+        env = embodichain.make(
+            "reach_pose",
+            1,
+            [
+                "seed=1",
+                f"embodiment={embodiment}",
+                "task.events.place_goal.params.rotation_range=null",
+            ],
+        )
+        env.reset()
+        goal = np.asarray(env.sim.rigid_objects["goal"].read_pose()[1])[0]
+        assert goal == pytest.approx(quat, abs=1e-6)
+        env.close()
+
+
+def test_an_unknown_action_of_reachable_by_is_named():
+    words = ["seed=1", "task.events.place_goal.params.reachable_by=amr"]
+    with pytest.raises(ConfigError, match="no action 'amr' moves a tool; these do: arm"):
+        embodichain.make("reach", 1, words)
+
+
+def table_cells():
+    """The (task, embodiment) pairs of docs/tasks.md that have a rate of success."""
+    page = (Path(__file__).parents[3] / "docs" / "tasks.md").read_text(encoding="utf-8")
+    table = page.partition("<!-- experts:")[2].partition("<!-- end of experts -->")[0]
+    head, _, *rows = [line for line in table.splitlines() if line.startswith("|")]
+    names = [word.strip(" `") for word in head.strip("|").split("|")][1:]
+    pairs = []
+    for row in rows:
+        task, *cells = [word.strip(" `") for word in row.strip("|").split("|")]
+        rates = [(name, cell) for name, cell in zip(names, cells, strict=True) if "%" in cell]
+        pairs += [(task, name) for name, cell in rates if float(cell.rstrip(" %")) >= 95]
+    return pairs
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "embodiment"), table_cells())
+def test_the_expert_of_each_pair_of_the_table_succeeds(task, embodiment, empty_cwd, capsys):
+    words = [f"task={task}", f"embodiment={embodiment}", "policy=expert", "seed=1", "record=none"]
+    words += ["num_envs=4", "episodes=1", "scene_png=false", "--quiet", "--json"]
+    assert main(["run", *words]) == 0
+    assert json.loads(capsys.readouterr().out)["metrics"]["success"] >= 0.75

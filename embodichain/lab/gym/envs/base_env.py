@@ -325,8 +325,21 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
                 self.managers[manager.section] = manager
         if problems:
             raise ConfigError(problems)
+        self._prepare_events()
         self.curriculum_manager = CurriculumManager(self, cfg.curriculum)
         self.managers["curriculum"] = self.curriculum_manager
+
+    def _prepare_events(self) -> None:
+        """Let events look at the actions, which are built after them."""
+        for name, term in self.event_manager.terms.items():
+            prepare = getattr(term.instance, "prepare", None)
+            if prepare is None:
+                continue
+            try:
+                prepare(self)
+            except ConfigError as error:
+                path = f"events.{name}.params"
+                raise ConfigError([problem.below(path) for problem in error.problems]) from error
 
     def _start(self, kwargs: dict[str, Any]) -> None:
         """Make spaces, run startup events, and observe once."""

@@ -278,10 +278,13 @@ class RandomizePose(Term):
             message = "reachable_by needs relative_to and position_range"
             raise ConfigError([Problem("reachable_by", message)])
 
-    def _fit(self, env: TermContext, position: Uniform, relative_to: ResolvedEntity) -> None:
-        """Make the range of positions smaller until an arm reaches it."""
-        origin, _ = initial_pose_of(env, relative_to.frame)
-        name = self._reachable_by or ""
+    def prepare(self, env: TermContext) -> None:
+        """Make the range of positions smaller until an arm reaches it, once."""
+        name = self._reachable_by
+        position = self._position
+        if name is None or position is None or self._relative_to is None:
+            return
+        origin, _ = initial_pose_of(env, self._relative_to.frame)
         corners = np.stack(np.meshgrid(*([[0.0, 0.5, 1.0]] * 3), indexing="ij"), axis=-1)
         offsets = position.low + corners.reshape(-1, 3) * (position.high - position.low)
         share = fitted_share(env, name, origin, offsets)
@@ -293,8 +296,7 @@ class RandomizePose(Term):
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the poses of these environments."""
-        if self._reachable_by is not None and self._position and self._relative_to is not None:
-            self._fit(env, self._position, self._relative_to)
+        self.prepare(env)  # a term that replaces another one is not prepared yet
         quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
         quat: Floats | None = quat0
         if self._rotation is None and self._may_skip_orientation(quat0, env_ids):
@@ -390,9 +392,11 @@ class RandomizeObjectPositionInShell(Term):
         self._quat = _rows_of(self._asset.index.quat0, env)
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
-    def _fit(self, env: TermContext) -> None:
-        """Make the shell smaller until an arm reaches it."""
-        name = self._reachable_by or ""
+    def prepare(self, env: TermContext) -> None:
+        """Make the shell smaller until an arm reaches it, once."""
+        name = self._reachable_by
+        if name is None:
+            return
         origin, _ = initial_pose_of(env, self._centre.frame)
         # A spiral on each of both spheres, and on one between them.
         count = 3 * _SPIRAL
@@ -416,8 +420,7 @@ class RandomizeObjectPositionInShell(Term):
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the positions of these environments."""
-        if self._reachable_by is not None:
-            self._fit(env)
+        self.prepare(env)  # a term that replaces another one is not prepared yet
         drawn = self._shell(env.event_manager, env_ids)
         # Contiguous columns: numpy may round a strided transcendental function differently.
         radius_cubed, azimuth, sine = (contiguous(drawn[:, i]) for i in range(3))
