@@ -12,7 +12,7 @@ from embodichain.config.composition.locate import display_path
 from embodichain.config.composition.yaml_words import compose_nodes, quoting, scalar_text
 from embodichain.utils.errors import Problem
 
-__all__ = ["chosen_twice", "explain_defaults"]
+__all__ = ["chosen_twice", "explain_defaults", "explain_lists"]
 
 
 class _Entry(NamedTuple):
@@ -23,12 +23,14 @@ class _Entry(NamedTuple):
         source: Its place, ``FILE:LINE``.
         written: The option as written, if YAML reads it as a flag or a number; else empty.
         key: The group as written: ``/scene@scene``, ``override /scene@scene``.
+        is_list: Whether it chooses a list of options.
     """
 
     name: str
     source: str
     written: str
     key: str = ""
+    is_list: bool = False
 
 
 def explain_defaults(folders: Sequence[Path], *, circles: bool) -> list[Problem]:
@@ -53,6 +55,29 @@ def explain_defaults(folders: Sequence[Path], *, circles: bool) -> list[Problem]
                 hint = quoting(entry.written)
                 problems.append(Problem("defaults", "expected a name.", hint, entry.source))
     return problems
+
+
+def explain_lists(folders: Sequence[Path]) -> list[Problem]:
+    """Return a problem for each list of options that is chosen without ``override``.
+
+    Hydra refuses it, without a word, where another file has chosen a list for the group.
+
+    Args:
+        folders: Folders with groups.
+    """
+    problems: dict[str, Problem] = {}
+    for folder in folders:
+        for path in sorted(folder.rglob("*.yaml")):
+            for entry in _entries(path, _name_of(path, folder)):
+                if entry.is_list and not entry.key.startswith("over"):
+                    message = (
+                        "another file has chosen a list of options: write "
+                        f"`override {entry.key}: [...]`"
+                    )
+                    problems.setdefault(
+                        entry.source, Problem("defaults", message, source=entry.source)
+                    )
+    return list(problems.values())
 
 
 def chosen_twice(folders: Sequence[Path], group: str, option: str) -> list[Problem]:
@@ -109,6 +134,7 @@ def _entries(path: Path, name: str) -> Iterator[_Entry]:
                             source=source,
                             written=scalar_text(option),
                             key=written_group,
+                            is_list=isinstance(node, yaml.SequenceNode),
                         )
 
 

@@ -34,7 +34,11 @@ from hydra.errors import HydraException, MissingConfigException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 
-from embodichain.config.composition.defaults_lists import chosen_twice, explain_defaults
+from embodichain.config.composition.defaults_lists import (
+    chosen_twice,
+    explain_defaults,
+    explain_lists,
+)
 from embodichain.config.composition.environment import register_env_resolvers
 from embodichain.config.composition.locate import (
     COMMAND_LINE,
@@ -67,7 +71,10 @@ __all__ = [
 _BASE = "1.3"
 VERSION_BASE = {} if isinstance(version.getbase(), str) else {"version_base": _BASE}
 """Argument of `hydra.main`: the behaviour of Hydra 1.3, which 1.4 has without being asked."""
-COMPOSING = (HydraException, yaml.YAMLError, OSError, ValueError, RecursionError)
+COMPOSING = (
+    *(HydraException, yaml.YAMLError, OSError, ValueError, RecursionError),
+    AssertionError,  # Hydra's, of a group with a list of options that is chosen a second time
+)
 """Exceptions that composing may raise because of the user's files."""
 SEARCH_PATH = "hydra.searchpath"
 """Hydra's key for places to search."""
@@ -288,6 +295,10 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
         problems = explain_defaults(folders, circles=is_recursion)
         if is_recursion and not problems:
             problems = _too_deep(folders)
+        if problems:
+            return problems
+    if isinstance(error, AssertionError):
+        problems = explain_lists(_folders(loader))
         if problems:
             return problems
     unchosen = re.search(r"You must specify '([^']+)'", str(error))

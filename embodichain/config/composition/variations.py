@@ -72,11 +72,24 @@ def merge_variations(tree: Mapping[str, Any], source: Callable[[str], str]) -> M
         merged.problems.append(Problem("task.variations", message))
         return merged
     merger = _Merger(merged, task, source)
+    chosen = [name for name, entry in variations.items() if _has_content(entry)]
     for name, variation in variations.items():
-        if variation is not None:  # null takes an inherited one out
-            merger.add(name, variation)
+        if variation is None:  # null takes an inherited one out
+            continue
+        if isinstance(variation, dict) and not _has_content(variation):
+            # A key of the command line for a variation that no file has placed here.
+            message = f"no such variation is chosen; chosen: {listing(chosen, name)}."
+            hint = did_you_mean(name, chosen).strip() or f"Add variation=[{name}]."
+            merged.problems.append(Problem(f"task.variations.{name}", message, hint))
+            continue
+        merger.add(name, variation)
     merger.check_fields()
     return merged
+
+
+def _has_content(variation: Any) -> bool:
+    """Whether a variation says more than its strength."""
+    return isinstance(variation, dict) and not set(variation) <= {"strength"}
 
 
 class _Field(NamedTuple):

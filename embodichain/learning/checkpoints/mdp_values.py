@@ -81,6 +81,8 @@ def _terms(section: str, terms: Mapping[str, TermCfg]) -> dict[str, Any]:
 def _term(section: str, cfg: TermCfg) -> dict[str, Any]:
     names = {field.name for field in dataclasses.fields(cfg)} - {"func", "params"}
     other_fields = {name: getattr(cfg, name) for name in sorted(names)}
+    if other_fields.get("strength") == 1.0:  # as of events before they had a strength
+        del other_fields["strength"]
     checked, _ = check_term(SECTIONS[section], cfg, section)
     if checked is None:
         params = dict(cfg.params)

@@ -152,8 +152,14 @@ def test_a_task_may_have_variations_of_its_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("entries", "expected"),
     [
-        ({"strength": 2}, "task.variations.mine.strength: must be within [0, 1], got 2"),
-        ({"strength": "full"}, "task.variations.mine.strength: expected a number, got 'full'"),
+        (
+            {"strength": 2, "events": {}},
+            "task.variations.mine.strength: must be within [0, 1], got 2",
+        ),
+        (
+            {"strength": "full", "events": {}},
+            "task.variations.mine.strength: expected a number, got 'full'",
+        ),
         (
             {"strenght": 1},
             "unknown key; allowed: description, strength, needs, objects, events",
@@ -216,6 +222,25 @@ def test_an_unknown_variation_is_named_with_the_closest_one() -> None:
     (problem,) = _problems("task=push_cube", "variation=[frictoin]")
     assert "frictoin" in problem
     assert "Did you mean 'friction'?" in problem
+
+
+@pytest.mark.parametrize("strength", [0, 0.5, 1])
+def test_a_strength_of_a_variation_that_is_not_chosen_is_a_mistake(strength: float) -> None:
+    overrides = ["variation=[friction]", f"task.variations.frction.strength={strength}"]
+    (problem,) = _problems("task=push_cube", *overrides)
+    assert "no such variation is chosen; chosen: friction. Did you mean 'friction'?" in problem
+
+
+def test_an_experiment_that_chooses_variations_needs_override(tmp_path: Path) -> None:
+    folder = tmp_path / "experiment"
+    folder.mkdir()
+    header = "# @package _global_\ndefaults:\n  - override /task: push_cube\n"
+    (folder / "wrong.yaml").write_text(header + "  - /variation: [friction, lighting]\n")
+    (folder / "right.yaml").write_text(header + "  - override /variation: [friction, lighting]\n")
+    with pytest.raises(ConfigError, match=r"wrong.yaml:4: .*write `override /variation: "):
+        resolve(["task=push_cube", "experiment=wrong"], config_dir=tmp_path)
+    tree = compose(["task=push_cube", "experiment=right"], config_dir=tmp_path).tree
+    assert "friction_cube" in tree["task"]["events"]
 
 
 def test_two_variations_that_set_one_field_are_one_mistake(tmp_path: Path) -> None:
