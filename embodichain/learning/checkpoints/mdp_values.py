@@ -63,8 +63,8 @@ def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
             values[section] = _terms(section, getattr(cfg, section))
     for name, term in env.action_manager.terms.items():
         _fill_in(values["actions"][name], getattr(term.instance, "filled_in", {}))
-    for name, term in env.event_manager.terms.items():
-        _fit(values["events"][name], getattr(term.instance, "fitted", {}))
+    for name, event in env.event_manager.terms.items():
+        _fit(values["events"][name], getattr(event.instance, "fitted", {}))
     observations = {name: term for name, term in cfg.observations.items() if term.group == group}
     values["observations"] = _terms("observations", observations)
     return _plain(values)
