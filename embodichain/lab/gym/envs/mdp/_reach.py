@@ -5,6 +5,7 @@ Computed once, on MuJoCo's own model, whatever the arrays of the simulation are.
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["fitted_share", "initial_pose_of"]
 
+_log = logging.getLogger(__name__)
 _ENOUGH = 0.95
 """Share of the places that the tool must reach."""
 _SHARES = 20
@@ -58,17 +60,27 @@ def fitted_share(env: TermContext, action: str, origin: Floats, offsets: Floats)
         origin: (3,) m, where the offsets begin.
         offsets: (n, 3) m.
 
+    Returns:
+        The share; 1, with a warning, if there is no such action or it moves no tool.
+
     Raises:
-        ConfigError: If there is no such action, or no share of the offsets is reached.
+        ConfigError: If no share of the offsets is reached.
     """
     actions: Any = getattr(env, "action_manager")  # noqa: B009
     terms = {name: built.instance for name, built in actions.terms.items()}
     term = terms.get(action)
     if term is None or not hasattr(term, "joint_range"):
         movers = [name for name, other in terms.items() if hasattr(other, "joint_range")]
+        # A task whose actions were replaced goes on, with the places that it asks for.
         message = f"no action {action!r} moves a tool; these do: {', '.join(movers) or 'none'}"
-        raise ConfigError([Problem("reachable_by", message, did_you_mean(action, movers).strip())])
-    solver = term.solver
+        hint = did_you_mean(action, movers)
+        _log.warning("reachable_by: %s.%s The range stays as it is", message, hint)
+        return 1.0
+    try:
+        solver = term.solver
+    except ConfigError as error:
+        _log.warning("reachable_by: %s. The range stays as it is", error.problems[0].message)
+        return 1.0
     index = term.asset.index
     data = initial_state(env)
     model = data.model
