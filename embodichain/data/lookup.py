@@ -192,9 +192,11 @@ def _closest_names(name: str, tried: list[tuple[str, Path]]) -> list[str]:
     if match:
         return _closest_packages(match["package"], match["rest"] or "", tried)
     robots = [robot.name for robot in list_robots()]
-    similar = closest(name, robots, n=2, cutoff=0.75)
     stem = Path(name).stem.casefold()
-    similar += [robot for robot in robots if Path(robot).stem.casefold() == stem]
+    # Another robot of the same maker has a similar name, too: the file name decides where it can.
+    same_file = [robot for robot in robots if Path(robot).stem.casefold() == stem]
+    similar = closest(name, same_file or robots, n=2, cutoff=0.75)
+    similar += same_file
     similar += [str(Path(name).parent / sibling) for sibling in _siblings(tried)]
     if not similar:
         by_file = {Path(robot).name: robot for robot in robots}

@@ -13,7 +13,10 @@ from embodichain.cli.verb import VERBS
 from embodichain.cli.words import EVERYDAY_KEYS
 from embodichain.config.keys.schema import RootCfg
 
-KINDS = "{tasks|objects|scenes|robots|policies|terms|formats|viewers|learners|steps}"
+KINDS = (
+    "{tasks|embodiments|objects|scenes|variations|robots|policies|terms|formats|viewers|learners"
+    "|steps|engines|renderers}"
+)
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"], ["help"]])

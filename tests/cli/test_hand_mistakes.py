@@ -23,7 +23,7 @@ CASES = {
     "no gripper": (
         f"  attach:\n    {GRIPPER}\n",
         "",
-        "hand.yaml:22: task.robot.solver_cfg.arm.end_link_name: no link is called "
+        "hand.yaml:26: task.robot.solver_cfg.arm.end_link_name: no link is called "
         "'gripper/tcp'; there are: "
         "base_link, shoulder_link",
         "Nothing is attached as 'gripper'.",
@@ -31,27 +31,27 @@ CASES = {
     "a link that is not there": (
         "to: ee_link}",
         "to: ee_lnk}",
-        "hand.yaml:22: task.robot.attach.gripper.to: no link is called 'ee_lnk'; there are: "
+        "hand.yaml:26: task.robot.attach.gripper.to: no link is called 'ee_lnk'; there are: "
         "base_link",
         "Did you mean 'ee_link'?",
     ),
     "a gripper's mesh that is missing": (
         "ParallelGripper/parallel_gripper.xml",
         "meshed.xml",
-        "hand.yaml:22: task.robot.attach.gripper.fpath: {cwd}/meshed.xml:3: mesh 'finger': no file "
+        "hand.yaml:26: task.robot.attach.gripper.fpath: {cwd}/meshed.xml:3: mesh 'finger': no file "
         "'fnger.stl' in {cwd}/meshes; there are: finger.stl, palm.stl.",
         "Did you mean 'finger.stl'?",
     ),
     "two of one name": (
         GRIPPER,
         f"{GRIPPER}\n    {GRIPPER}",
-        "hand.yaml:23: malformed YAML: found duplicate key gripper",
+        "hand.yaml:27: malformed YAML: found duplicate key gripper",
         "",
     ),
     "an unknown tool": (
         "end_link_name: gripper/tcp",
         "end_link_name: gripper/tpc",
-        "hand.yaml:24: task.robot.solver_cfg.arm.end_link_name: no link is called 'gripper/tpc'",
+        "hand.yaml:28: task.robot.solver_cfg.arm.end_link_name: no link is called 'gripper/tpc'",
         "Did you mean 'gripper/tcp'?",
     ),
     "an unknown finger": (
@@ -64,7 +64,7 @@ CASES = {
     "an unknown actuator": (
         "actuators: gripper/grip}",
         "actuators: gripper/grp}",
-        "hand.yaml:15: task.robot.grippers.gripper.actuators: no actuator matches 'gripper/grp'; "
+        "hand.yaml:19: task.robot.grippers.gripper.actuators: no actuator matches 'gripper/grp'; "
         "there are: gripper/grip, Joint1",
         "Did you mean 'gripper/grip'?",
     ),

@@ -19,6 +19,7 @@ PAGES = [REPO / "README.md", *sorted((REPO / "docs").rglob("*.md"))]
 EXCERPT = re.compile(r"^<!-- from (\S+) -->\n```python\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
 
 
+VARIATION = re.compile(r"^# @package task\.variations\.(\w+)\n")
 FILE = re.compile(
     r"^<!-- (\w+\.(?:py|xml)) -->\n```(?:python|xml)\n(.*?)^```", re.MULTILINE | re.DOTALL
 )
@@ -51,17 +52,32 @@ def test_a_block_that_fails_shows_its_traceback(tmp_path):
     assert status == 1 and 'block.py", line 3' in said and "ValueError: mine" in said
 
 
+def write_option(folder, group, name, text):
+    (folder / group).mkdir(parents=True)
+    (folder / group / f"{name}.yaml").write_text(text, encoding="utf-8")
+
+
 @pytest.mark.parametrize(("text", "page"), blocks("yaml", with_page=True))
 def test_yaml_is_a_task(text, page, tmp_path, monkeypatch):
-    """A block is a task file, or some of its sections; it may name the page's own files."""
+    """A block is a task file, or some of its sections; it may name the page's own files.
+
+    One that begins as a variation does is one, of a shipped task.
+    """
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     for name, code in FILE.findall(page.read_text(encoding="utf-8")):
         (tmp_path / name).write_text(code, encoding="utf-8")
     assert isinstance(yaml.safe_load(text), dict)
-    folder = tmp_path / "mine" / "task"
-    folder.mkdir(parents=True)
-    (folder / "block.yaml").write_text(text, encoding="utf-8")
+    variation = VARIATION.match(text)
+    if variation:
+        write_option(tmp_path / "mine", "variation", variation[1], text)
+        lines = ["task=push_cube", f"variation={variation[1]}"]
+        resolved = resolve(lines, "run", tmp_path / "mine")
+        task = resolve(["task=push_cube"], "run").tree["task"]
+        for section in yaml.safe_load(text).keys() & {"events", "actions", "observations"}:
+            assert resolved.tree["task"][section] != task[section]
+        return
+    write_option(tmp_path / "mine", "task", "block", text)
     resolved = resolve(["task=block"], "run", tmp_path / "mine")
     assert resolved.task_name == "block"
 

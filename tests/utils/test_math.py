@@ -117,6 +117,7 @@ WIDTHS = {
     "look_at": (3, 3, 3),
     "matrix_to_pose": ((4, 4),),
     "matrix_to_quat": ((3, 3),),
+    "norm": (3,),
     "normalize_quat": (4,),
     "pose_to_matrix": (7,),
     "quat_conjugate": (4,),
@@ -129,6 +130,7 @@ WIDTHS = {
     "rotate": ((3, 3), 3),
     "rotate_back": ((3, 3), 3),
     "rotvec_to_quat": (3,),
+    "squares": (3,),
     "wrapped": (2,),
 }
 

@@ -52,8 +52,8 @@ BAD = {
         "attrs, fix_base, disable_self_collision, init_qpos, sleep_threshold, "
         "min_position_iters, min_velocity_iters, build_pk_chain, compute_uv, "
         "use_usd_properties, control_parts, urdf_cfg, solver_cfg, init_quat, attachments, "
-        "gravcomp, collision, collision_shapes, locked_joints, contact, self_collision, attach. "
-        "Did you mean 'init_qpos'?",
+        "gravcomp, collision, collision_shapes, locked_joints, contact, self_collision, names, "
+        "attach, grippers, home. Did you mean 'init_qpos'?",
         old="  init_qpos: [0",
         new="  init_qps: [0",
     ),
@@ -65,8 +65,8 @@ BAD = {
     ),
     "unknown key in a term": bad(
         "conf/task/mine.yaml:21: task.events.move.interval_steps: unknown key; allowed: "
-        "func, params, mode, interval_step, interval_range_s, is_global. Did you mean "
-        "'interval_step'?",
+        "func, params, mode, interval_step, interval_range_s, is_global, strength. "
+        "Did you mean 'interval_step'?",
         old="    interval_step: 5",
         new="    interval_steps: 5",
     ),
@@ -702,7 +702,8 @@ BAD = {
         "disable_self_collision, init_qpos, sleep_threshold, min_position_iters, "
         "min_velocity_iters, build_pk_chain, compute_uv, use_usd_properties, control_parts, "
         "urdf_cfg, solver_cfg, init_quat, attachments, gravcomp, collision, "
-        "collision_shapes, locked_joints, contact, self_collision, attach.",
+        "collision_shapes, locked_joints, contact, self_collision, names, attach, "
+        "grippers, home.",
         "command line: task.objects.box.shape.size: expected 3 values, got 2: [1, 2]",
         "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
         "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",

@@ -16,7 +16,7 @@ def expected(case: Bad) -> list[str]:
     values = {
         "{cwd}": str(Path.cwd()),
         "{tasks}": ", ".join(list_options("task")),
-        "{first_tasks}": "cart_pole, cart_pole_swing_up, hand_over, "
+        "{first_tasks}": "cart_pole, cart_pole_swing_up, clutter_pick, "
         f"... ({len(list_options('task'))} in all: `embodichain list tasks`)",
         "{rewards}": "within_distance, within_orientation, within_pose, "
         f"... ({len(TERMS['reward'])} in all: `embodichain list terms`)",

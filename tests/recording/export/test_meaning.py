@@ -83,9 +83,9 @@ def test_an_action_has_names_units_and_a_frame_in_every_format(tmp_path):
     ],
 )
 def test_what_joints_are_told(tmp_path, control, given, mode, reference, centre, scale, unit):
-    params = f"of: {{uid: ur10}}, control: {control}, centre: {given}"
+    params = f"of: {{uid: robot}}, control: {control}, centre: {given}"
     arm = f"{{func: joint_action, params: {{{params}}}}}"
-    overrides = ["task=reach", *SHORT, f"task.actions={{arm: {arm}}}"]
+    overrides = ["task=reach", *SHORT, "~task.expert", f"task.actions={{arm: {arm}}}"]
     log, _ = record_task(tmp_path / "log.mcap", overrides, 1)
     with recording.open(log) as opened:
         first = opened.header.action[0]

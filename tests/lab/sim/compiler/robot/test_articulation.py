@@ -362,7 +362,7 @@ def test_every_mistake_is_reported_at_once():
         body_scale=(2, 1, 1),
         control_parts={"arm": ["joint.*"]},
         init_quat=(0, 0, 0, 0),
-        drive_pros=JointDrivePropertiesCfg(stiffness=-1.0),
+        drive_pros=JointDrivePropertiesCfg(stiffness={"Jiont1": 1.0}),
     )
     with pytest.raises(ConfigError) as raised:
         parse_articulation("a", cfg)
@@ -372,7 +372,7 @@ def test_every_mistake_is_reported_at_once():
         "a.body_scale",
         "a.control_parts.arm",
         "a.init_quat",
-        "a.drive_pros.stiffness",
+        "a.drive_pros.stiffness.Jiont1",
     }
 
 
