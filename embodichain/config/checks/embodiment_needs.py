@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from embodichain.config.composition.composed import Composed, compose, list_options
+from embodichain.config.composition.defaults_lists import place_of_choice
 from embodichain.config.composition.embodiments import EMBODIMENT
 from embodichain.config.composition.locate import COMMAND_LINE
 from embodichain.lab.gym.envs.cfg import EnvCfg
@@ -83,7 +84,7 @@ def check_embodiment(
     if having:
         hint = f"Embodiments that have it: {', '.join(having)}."
     message = f"{name} lacks what the task needs: {_listed(missing)}."
-    mistake = Problem(EMBODIMENT, message, hint, _place(composed))
+    mistake = Problem(EMBODIMENT, message, hint, _place(composed, name))
     paths = [f"task.{need.path}" for need in missing]
     paths += ["task.robot", "task.robots", "task.expert"]
     return [mistake, *(problem for problem in problems if not _follows(problem, paths))]
@@ -127,10 +128,12 @@ def _follows(problem: Problem, paths: Iterable[str]) -> bool:
     return any(problem.path == path or problem.path.startswith(f"{path}.") for path in paths)
 
 
-def _place(composed: Composed) -> str:
-    """Where the embodiment was chosen: an override, else the file of the embodiment."""
-    typed = [line for line in composed.overrides if line.lstrip("+").startswith(EMBODIMENT)]
-    return COMMAND_LINE if typed else composed.source("task.robot")
+def _place(composed: Composed, name: str) -> str:
+    """Where the embodiment was chosen: an override, else the line of a file."""
+    if any(line.lstrip("+").startswith(EMBODIMENT) for line in composed.overrides):
+        return COMMAND_LINE
+    files = composed.locator.files
+    return place_of_choice(files, EMBODIMENT, name) or composed.source("task.robot")
 
 
 def _robots(tree: Any) -> dict[str, Mapping[str, Any]]:

@@ -24,6 +24,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from embodichain.config.composition.defaults_lists import place_of_choice
 from embodichain.config.composition.environment import register_env_resolvers, value_of
 from embodichain.config.composition.given_last import keep_last_given
 from embodichain.config.composition.hydra_loader import (
@@ -67,6 +68,10 @@ __all__ = [
 
 _PLACED_GROUPS = {"embodiment": "task"}
 """Group -> the package at which a task's `defaults` place its options, where none is typed."""
+_ONE_OPTION_GROUPS = frozenset(
+    {"algo", "embodiment", "object", "record", "scene", "sim", "task", "viewer"}
+)
+"""Groups of which one option is chosen at a place: two would be merged into neither."""
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 WITHOUT_TASK = "~task"
 """The override that composes a config with no option of the group `task`."""
@@ -159,6 +164,7 @@ def compose(
         choices["task"] = gym.name
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
     problems = [*parsed.problems, *apply_values(config, parsed.values)]
+    problems += _lists_of_options(loader.merged, files)
     locator = Locator(files, parsed.values)
     for file in (*files, *of_hydra):
         problems += file.problems()
@@ -252,6 +258,26 @@ def _files(
         else:
             files.append(file)
     return files, of_hydra
+
+
+def _lists_of_options(
+    merged: Sequence[ResultDefault], files: Sequence[ConfigFile]
+) -> list[Problem]:
+    """Return a problem for each list of options in a file, of a group that takes one option."""
+    options_at: dict[tuple[str | None, str, str | None], list[str]] = {}
+    for default in merged:
+        group, _, option = (default.config_path or "").rpartition("/")
+        is_inherited = (default.parent or "").startswith(f"{group}/")
+        if group in _ONE_OPTION_GROUPS and not is_inherited:
+            place = (default.parent, group, default.package)
+            options_at.setdefault(place, []).append(option)
+    problems: list[Problem] = []
+    for (_, group, _), options in options_at.items():
+        if len(options) > 1:
+            message = f"takes one option, got [{', '.join(options)}]"
+            source = place_of_choice(files, group, options[-1]) or COMMAND_LINE
+            problems.append(Problem(group, message, source=source))
+    return problems
 
 
 _WHOLE_OPTIONS = {"sim": "default", "record": "mcap", "viewer": "none"}
@@ -403,8 +429,10 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
             problems.append(malformed(line, "the key is missing"))
         elif override.is_sweep_override():
             key = override.key_or_group
-            message = f"{typed!r} is a sweep: add -m to run every value, or write {key}=[...]"
-            problems.append(Problem(key, f"{message} for a list", source=COMMAND_LINE))
+            message = f"{typed!r} is a sweep: add -m to run every value"
+            if key not in _ONE_OPTION_GROUPS:
+                message = f"{message}, or write {key}=[...] for a list"
+            problems.append(Problem(key, message, source=COMMAND_LINE))
         elif override.key_or_group == SEARCH_PATH:
             continue  # searched already, see `search_path`
         elif override.key_or_group in _FOLDERS and not _is_folder(override.value()):
@@ -543,6 +571,12 @@ def _odd_keys(value: Any, path: str) -> Iterator[Problem]:
             yield from _odd_keys(item, f"{path}.{key}")
 
 
+def _sweep_of(override: Override) -> str:
+    """The sweep over the options of a list: ``-m embodiment=ur10,panda``."""
+    key, _, value = (override.input_line or "").partition("=")
+    return f"-m {key.lstrip('+')}={value.strip('[] ').replace(' ', '')}"
+
+
 def _check_option(override: Override, options: list[str]) -> Problem | None:
     """The problem of a choice that is not an option of its group."""
     value = override.value()
@@ -551,6 +585,9 @@ def _check_option(override: Override, options: list[str]) -> Problem | None:
     typed = (override.input_line or "").partition("=")[2]
     if isinstance(value, int | float) and typed in options:
         return None
+    if isinstance(value, list) and override.key_or_group in _ONE_OPTION_GROUPS:
+        message = f"takes one option, got {typed}; -m for a sweep: {_sweep_of(override)}"
+        return Problem(override.key_or_group, message, source=COMMAND_LINE)
     for option in value if isinstance(value, list) else [value]:
         name = "null" if option is None else str(option)
         if name not in options:

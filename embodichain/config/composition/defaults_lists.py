@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import yaml
 
-from embodichain.config.composition.locate import display_path
+from embodichain.config.composition.locate import ConfigFile, display_path
 from embodichain.config.composition.yaml_words import compose_nodes, quoting, scalar_text
 from embodichain.utils.errors import Problem
 
-__all__ = ["chosen_twice", "explain_defaults", "explain_lists"]
+__all__ = ["chosen_twice", "explain_defaults", "explain_lists", "place_of_choice"]
 
 
 class _Entry(NamedTuple):
@@ -102,6 +102,25 @@ def chosen_twice(folders: Sequence[Path], group: str, option: str) -> list[Probl
         if problems:
             return problems
     return []
+
+
+def place_of_choice(files: Sequence[ConfigFile], group: str, option: str) -> str:
+    """Return where files choose an option of a group, ``FILE:LINE``; empty if none does.
+
+    Args:
+        files: The composed files; the last one that chooses the option counts.
+        group: The group, without a package.
+        option: The option.
+    """
+    place = ""
+    for file in files:
+        # A root config is not in a group, and its entries have none before them.
+        in_group = _entries(file.path, f"{file.path.parent.name}/{file.path.stem}")
+        in_root = _entries(file.path, file.path.stem)
+        for entry in (*in_group, *in_root):
+            if entry.name == f"{group}/{option}" and entry.key:
+                place = entry.source
+    return place
 
 
 def _name_of(path: Path, folder: Path) -> str:

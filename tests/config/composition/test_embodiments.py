@@ -114,6 +114,45 @@ def test_a_task_without_the_entry_is_told_the_line(capsys):
 
 
 @pytest.mark.parametrize(
+    "choice",
+    [
+        "embodiment=[ur10,ur10_gripper]",
+        "embodiment@task=[ur10,ur10_gripper]",
+        "object@task.objects.bowl=[bowl,mug]",
+        "scene@task.scene=[studio,lab]",
+        "sim=[default,default]",
+    ],
+)
+def test_a_list_of_options_is_no_choice(capsys, choice):
+    text = said(capsys, "task=clutter_pick", choice)
+    key, _, options = choice.partition("=")
+    assert "takes one option" in text and f"-m for a sweep: -m {key}={options[1:-1]}" in text
+    text = said(capsys, "task=clutter_pick", choice.replace("[", "").replace("]", ""))
+    assert "is a sweep: add -m" in text and "[...]" not in text
+
+
+def test_a_list_of_options_in_a_file_is_no_choice(empty_cwd, capsys):
+    write(Path("conf/task"), "mine", MINE.replace(": ur10,", ": [ur10, ur10_gripper],"))
+    told = "conf/task/mine.yaml:1: embodiment: takes one option, got [ur10, ur10_gripper]"
+    assert told in said(capsys, "task=mine")
+
+
+def test_the_line_that_chose_the_embodiment_is_told(empty_cwd, capsys):
+    write(
+        Path("conf/experiment"),
+        "other",
+        "# @package _global_\ndefaults:\n"
+        "  - override /task: pick_place\n  - override /embodiment@task: ur10\n",
+    )
+    text = said(capsys, "experiment=other")
+    assert text.startswith("error: conf/experiment/other.yaml:4: embodiment: ur10 lacks")
+    own = "defaults:\n  - pick_place\n  - override /embodiment@_here_: ur10\n  - _self_\n"
+    write(Path("conf/task"), "mine", f"{own}robot: {{init_pos: [0, 0, 0.7]}}\n")
+    text = said(capsys, "task=mine")
+    assert text.startswith("error: conf/task/mine.yaml:3: embodiment: ur10 lacks")
+
+
+@pytest.mark.parametrize(
     ("task", "embodiment", "lacks"),
     [
         (

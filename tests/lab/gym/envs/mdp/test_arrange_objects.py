@@ -247,6 +247,55 @@ def test_things_lie_in_an_inside(make: Make) -> None:
             assert (np.abs(inside[:, :2]) <= np.array([0.14, 0.09]) + 1e-6).all()
 
 
+NESTED = """
+defaults:
+  - /object@objects.bin: bin
+  - /object@objects.shelf: shelf
+  - /object@objects.box: box
+  - /object@objects.bowl: bowl
+  - /object@objects.mug: mug
+  - /object@objects.peg: peg
+  - /object@objects.ball: ball
+  - /object@objects.cube: cube
+  - _self_
+"""
+
+
+def nest(folder: Path, layout: str, **sizes: str) -> F64:
+    """(N, 3) place of the cube of a layout of the package's objects, after a reset."""
+    write(folder, layout)
+    file = folder / "task" / "things.yaml"
+    text = file.read_text()
+    for uid, shape in sizes.items():
+        text = text.replace("\nevents:", f"\n  {uid}: {{shape: {shape}}}\nevents:")
+    file.write_text(NESTED.lstrip() + text)
+    env = embodichain.make("things", 2, ["seed=1"], config_dir=folder)
+    try:
+        env.reset()
+        return env.sim.rigid_objects["cube"].get_local_pose().numpy()[:, :3]
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        "bin: {on: table}\nbowl: {in: bin}\nball: {in: bowl}\ncube: {on: table}",
+        "bin: {on: table}\nmug: {in: bin}\npeg: {in: mug}\ncube: {on: table}",
+        "bin: {on: table}\nbox: {in: bin}\ncube: {in: box}\nball: {beside: {of: cube}}",
+        "shelf: {on: table}\nbox: {in: shelf/lower}\ncube: {on: box}",
+    ],
+)
+def test_what_is_in_a_container_carries_things_too(tmp_path: Path, layout: str) -> None:
+    assert (nest(tmp_path, layout)[:, 2] > 0.7).all()
+
+
+def test_a_board_above_counts_for_what_stands_on_something_in_a_shelf(tmp_path: Path) -> None:
+    layout = "shelf: {on: table}\nbox: {in: shelf/lower}\ncube: {on: box}"
+    with pytest.raises(ConfigError, match="no free place for 'cube' on 'box'"):
+        nest(tmp_path, layout, cube="{shape_type: Cube, size: [0.05, 0.05, 0.2]}")
+
+
 @pytest.mark.parametrize(
     ("layout", "path", "words"),
     [

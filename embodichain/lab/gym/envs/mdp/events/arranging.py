@@ -135,9 +135,9 @@ class ArrangeObjects(Term):
     A place is tried until the box around the object's collision geoms is at least `gap` away from
     all other boxes: those of objects, of the links of robots and articulations as they are then,
     and of what was placed before. Its whole footprint is on what carries it, with which it is not
-    compared, but for what is above an inside. Where `max_tries` places do not
-    suffice, that environment begins anew with its first object, 8 times at most; then the event
-    fails and names the object. The log has x, y, z (m) and yaw (rad) of each object.
+    compared, nor with what carries that, but for what is above an inside. Where `max_tries` places
+    do not suffice, that environment begins anew with its first object, 8 times at most; then the
+    event fails and names the object. The log has x, y, z (m) and yaw (rad) of each object.
 
     Args:
         objects: Rigid object -> its relation: ``{on: table}``, ``{in: box}`` (the site ``inside``
@@ -351,6 +351,7 @@ def _item(
     neighbour: Neighbour | None = None
     face: Face | None = None
     not_compared: frozenset[str] = frozenset()
+    ceiling: tuple[Part, ...] = ()
     if placement.beside is not None:
         beside = placement.beside
         beside_part = find_part(sim, beside.of, f"{path}.beside.of", "beside")
@@ -360,17 +361,23 @@ def _item(
             if item.uid == beside_part.uid:
                 face = item.face
                 not_compared = item.not_compared
+                ceiling = item.ceiling
     if placement.on in _GROUND:
         face = Face(None, is_inside=False, across=0)
+        not_compared = frozenset()
+        ceiling = ()
     elif placement.carrier:
         relation: Literal["on", "in"] = "on" if placement.on is not None else "in"
         carrier = find_part(sim, placement.carrier, f"{path}.{relation}", relation)
         face = Face(carrier, relation == "in", carrier.across(sim.engine))
         not_compared = frozenset([carrier.uid])
+        ceiling = _ceiling(sim.engine, carrier) if relation == "in" else ()
+        for item in earlier:
+            # What is in a bowl that is in a bin is within the bin's walls, too.
+            if item.uid == carrier.uid:
+                not_compared |= item.not_compared
+                ceiling += item.ceiling
 
-    ceiling: tuple[Part, ...] = ()
-    if face is not None and face.part is not None and face.is_inside:
-        ceiling = _ceiling(sim.engine, face.part)
     return Item(
         uid=uid,
         relations=str(placement),
