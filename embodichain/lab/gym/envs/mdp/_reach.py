@@ -64,11 +64,12 @@ def fitted_share(env: TermContext, action: str, origin: Floats, offsets: Floats)
     actions: Any = getattr(env, "action_manager")  # noqa: B009
     terms = {name: built.instance for name, built in actions.terms.items()}
     term = terms.get(action)
-    if term is None or not hasattr(term, "joint_range"):
-        movers = [name for name, other in terms.items() if hasattr(other, "joint_range")]
+    if term is None or not hasattr(type(term), "joint_range"):
+        movers = [name for name, other in terms.items() if hasattr(type(other), "joint_range")]
         message = f"no action {action!r} moves a tool; these do: {', '.join(movers) or 'none'}"
         raise ConfigError([Problem("reachable_by", message, did_you_mean(action, movers).strip())])
-    solver = term.solver
+    # Velocities and efforts reach as far as positions, though no tool follows a path by them.
+    solver = term.kinematics if hasattr(type(term), "kinematics") else term.solver
     index = term.asset.index
     data = initial_state(env)
     model = data.model

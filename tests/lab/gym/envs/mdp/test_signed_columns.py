@@ -93,7 +93,8 @@ def test_several_columns_are_an_error_that_names_them_and_the_reducers(make, cfg
 
 
 def test_run_forward_needs_no_python() -> None:
-    forward = "{func: linear_velocity, weight: 1.5, params: {of: {uid: robot}, frame: body, axes: x}}"
+    params = "{of: {uid: robot}, frame: body, axes: x}"
+    forward = f"{{func: linear_velocity, weight: 1.5, params: {params}}}"
     env = embodichain.make(
         "quadruped_velocity", num_envs=2, seed=1, overrides=[f"+task.rewards.forward={forward}"]
     )
