@@ -109,7 +109,10 @@ def test_arms_and_grippers_of_two_robots(built):
 
 
 def test_a_robot_without_action_terms_is_an_arm(built):
-    env = built("reach", "~task.actions.arm", "~task.rewards", "~task.observations.action")
+    unbounded = "task.events.place_goal.params.reachable_by=null"
+    env = built(
+        "reach", "~task.actions.arm", "~task.rewards", "~task.observations.action", unbounded
+    )
     ((declared, arm),) = arms_of(env)
     assert (declared.name, declared.uid, declared.gripper) == ("", "robot", None)
     qpos = env.robot.read_qpos() + 0.1

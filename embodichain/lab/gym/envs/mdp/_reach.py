@@ -69,15 +69,16 @@ def fitted_share(env: TermContext, action: str, origin: Floats, offsets: Floats)
     actions: Any = getattr(env, "action_manager")  # noqa: B009
     terms = {name: built.instance for name, built in actions.terms.items()}
     term = terms.get(action)
-    if term is None or not hasattr(term, "joint_range"):
-        movers = [name for name, other in terms.items() if hasattr(other, "joint_range")]
+    if term is None or not hasattr(type(term), "joint_range"):
+        movers = [name for name, other in terms.items() if hasattr(type(other), "joint_range")]
         # A task whose actions were replaced goes on, with the places that it asks for.
         message = f"no action {action!r} moves a tool; these do: {', '.join(movers) or 'none'}"
         hint = did_you_mean(action, movers)
         _log.warning("reachable_by: %s.%s The range stays as it is", message, hint)
         return 1.0
     try:
-        solver = term.solver
+        # Velocities and efforts reach as far as positions, though no tool follows a path by them.
+        solver = term.kinematics if hasattr(type(term), "kinematics") else term.solver
     except ConfigError as error:
         _log.warning("reachable_by: %s. The range stays as it is", error.problems[0].message)
         return 1.0

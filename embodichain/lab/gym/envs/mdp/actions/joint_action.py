@@ -547,6 +547,15 @@ class JointAction(JointTerm):
         if self._control != "position":
             message = f"targets are positions, not {self._control}, where a tool follows a path"
             raise ConfigError([Problem("control", message)])
+        return self.kinematics
+
+    @cached_property
+    def kinematics(self) -> ArmSolver:
+        """The same, whether targets are positions, velocities or efforts.
+
+        Raises:
+            ConfigError: If there is no such tool, or more than one.
+        """
         return arm_solver(self._entity)
 
     @cached_property
