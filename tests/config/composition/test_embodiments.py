@@ -152,6 +152,33 @@ def test_the_line_that_chose_the_embodiment_is_told(empty_cwd, capsys):
     assert text.startswith("error: conf/task/mine.yaml:3: embodiment: ur10 lacks")
 
 
+UR10 = """robot:
+  fpath: UniversalRobots/UR10/UR10.urdf
+  control_parts: {arm: ["Joint[1-6]"]}
+  names: {tool: ee_link, base: base_link, shoulder: shoulder_link}
+"""
+
+
+def test_a_robot_of_another_name_is_told_the_name(empty_cwd, capsys):
+    write(Path("conf/embodiment"), "nouid", UR10)
+    write(Path("conf/embodiment"), "other", f"{UR10}  uid: arm\n")
+    told = "task.robot.uid: tasks call it robot; write uid: robot"
+    assert said(capsys, "task=reach", "embodiment=nouid") == (
+        f"error: conf/embodiment/nouid.yaml:1: {told}"
+    )
+    assert said(capsys, "task=reach", "embodiment=other") == (
+        f"error: conf/embodiment/other.yaml:5: {told}"
+    )
+
+
+def test_an_embodiment_that_cannot_load_is_not_advised(empty_cwd, capsys):
+    write(Path("conf/embodiment"), "nofile", UR10.replace("UR10.urdf", "UR11.urdf") + "  uid: robot")
+    write(Path("conf/embodiment"), "typo", f"{UR10}  uid: robot\n  drive_prs: 1\n")
+    text = said(capsys, "task=reach", "embodiment=go2")
+    assert "Embodiments that have it: panda" in text
+    assert "nofile" not in text and "typo" not in text
+
+
 @pytest.mark.parametrize(
     ("task", "embodiment", "lacks"),
     [
