@@ -101,9 +101,7 @@ def check_embodiment(
     return [mistake, *(problem for problem in problems if not _follows(problem, paths))]
 
 
-def _misnamed_robot(
-    composed: Composed, task: EnvCfg, missing: Iterable[_Need]
-) -> Problem | None:
+def _misnamed_robot(composed: Composed, task: EnvCfg, missing: Iterable[_Need]) -> Problem | None:
     """Return that the embodiment's only robot has another name than the task calls it, or None."""
     robot = composed.tree["task"].get("robot")
     absent = {need.uid for need in missing if need.kind == "robot"}

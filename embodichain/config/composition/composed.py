@@ -284,7 +284,7 @@ def _lists_of_options(
 def _misplaced_variations(
     merged: Sequence[ResultDefault], files: Sequence[ConfigFile]
 ) -> list[Problem]:
-    """Return a problem for each file of the group `variation` that is not at a variation's place."""
+    """Return a problem for each file of the group `variation` at another place than its own."""
     places: set[tuple[str, str]] = set()
     for default in merged:
         group, _, option = (default.config_path or "").rpartition("/")

@@ -215,8 +215,9 @@ def test_a_robot_of_another_name_is_told_the_name(empty_cwd, capsys):
 
 
 def test_an_embodiment_that_cannot_load_is_not_advised(empty_cwd, capsys):
-    write(Path("conf/embodiment"), "nofile", UR10.replace("UR10.urdf", "UR11.urdf") + "  uid: robot")
-    write(Path("conf/embodiment"), "typo", f"{UR10}  uid: robot\n  drive_prs: 1\n")
+    mine = f"{UR10}  uid: robot\n"
+    write(Path("conf/embodiment"), "nofile", mine.replace("UR10.urdf", "UR11.urdf"))
+    write(Path("conf/embodiment"), "typo", f"{mine}  drive_prs: 1\n")
     text = said(capsys, "task=reach", "embodiment=go2")
     assert "Embodiments that have it: panda" in text
     assert "nofile" not in text and "typo" not in text
