@@ -9,18 +9,22 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from embodichain.config.composition.composed import Composed, compose, list_options
 from embodichain.config.composition.defaults_lists import place_of_choice
 from embodichain.config.composition.embodiments import EMBODIMENT
-from embodichain.config.composition.locate import COMMAND_LINE
+from embodichain.config.composition.locate import COMMAND_LINE, display_path
+from embodichain.config.keys.check_types import check_types
+from embodichain.data import get_data_path
+from embodichain.data.faults import fault_of
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.scene_entity import references_in
 from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS
 from embodichain.lab.sim.compiler.names import Known, pick
 from embodichain.lab.sim.configs.references import FRAME_KEYS, LinksCfg
-from embodichain.utils.errors import Problem
+from embodichain.utils.errors import DataNotFoundError, OutsideError, Problem
 
 __all__ = ["check_embodiment", "follows_from_name"]
 
@@ -29,6 +33,8 @@ _NAME = re.compile(r"task\.(?:robot|robots\.[^.]+|articulations\.[^.]+)\.names\.
 
 _CHOICE = f"{EMBODIMENT}@task"
 """The choice of an embodiment, as Hydra calls it."""
+_UID = "robot"
+"""What tasks call their only robot."""
 _GRIPPER_ACTION = "parallel_gripper"
 _COMMANDS = ("open_command", "close_command")
 
@@ -77,17 +83,66 @@ def check_embodiment(
     ]
     if not missing:
         return list(problems)
+    paths = [f"task.{need.path}" for need in missing]
+    paths += ["task.robot", "task.robots", "task.expert"]
+    mistake = _misnamed_robot(composed, task, missing)
+    if mistake is not None:
+        return [mistake, *(problem for problem in problems if not _follows(problem, paths))]
     having = [
-        option for option, robots in options.items() if all(_has(robots, need) for need in missing)
+        option
+        for option, robots in options.items()
+        if all(_has(robots, need) for need in missing) and _can_load(composed, option, robots)
     ]
     hint = "No embodiment has all of it: embodichain list embodiments."
     if having:
         hint = f"Embodiments that have it: {', '.join(having)}."
     message = f"{name} lacks what the task needs: {_listed(missing)}."
     mistake = Problem(EMBODIMENT, message, hint, _place(composed, name))
-    paths = [f"task.{need.path}" for need in missing]
-    paths += ["task.robot", "task.robots", "task.expert"]
     return [mistake, *(problem for problem in problems if not _follows(problem, paths))]
+
+
+def _misnamed_robot(composed: Composed, task: EnvCfg, missing: Iterable[_Need]) -> Problem | None:
+    """Return that the embodiment's only robot has another name than the task calls it, or None."""
+    robot = composed.tree["task"].get("robot")
+    absent = {need.uid for need in missing if need.kind == "robot"}
+    if absent != {_UID} or not isinstance(robot, Mapping) or not _has_file(robot):
+        return None
+    uid = robot.get("uid")
+    if any(reference.get("uid") == uid for _, reference in _references(task) if uid):
+        return None  # the task has a use for it: another robot is missing
+    source = composed.source("task.robot.uid")
+    if not uid:
+        for file in composed.locator.files:
+            if any(f"task.robot.{key}" in file.keys for key in _FILE_KEYS):
+                source = f"{display_path(file.path)}:{file.keys['task.robot'].line}"
+    message = f"tasks call it {_UID}; write uid: {_UID}"
+    return Problem("task.robot.uid", message, source=source)
+
+
+_FILE_KEYS = ("fpath", "urdf_cfg")
+"""Keys of a robot that say what it is."""
+
+
+def _has_file(robot: Mapping[str, Any]) -> bool:
+    return any(robot.get(key) for key in _FILE_KEYS)
+
+
+def _can_load(composed: Composed, option: str, robots: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Whether an embodiment has no mistake as far as its files show, nothing compiled."""
+    other = _compose_with(composed, option)
+    mistakes = [*other.problems, *check_types(other.tree).problems]
+    if any(_follows(problem, ["task.robot", "task.robots"]) for problem in mistakes):
+        return False
+    for robot in robots.values():
+        if not robot.get("fpath"):
+            continue
+        try:
+            path = Path(get_data_path(str(robot["fpath"])))
+        except (DataNotFoundError, OutsideError):
+            return False
+        if fault_of(path):
+            return False
+    return True
 
 
 _WORDS = {"robot": "robots", "name": "names", "part": "control parts", "gripper": "grippers"}
@@ -99,7 +154,7 @@ def _listed(needs: Iterable[_Need]) -> str:
     names_of: dict[str, list[str]] = {kind: [] for kind in _WORDS}
     for need in needs:
         name = need.name
-        if need.kind != "robot" and need.uid != "robot":
+        if need.kind != "robot" and need.uid != _UID:
             name = f"{need.uid}/{name}"
         if name not in names_of[need.kind]:
             names_of[need.kind].append(name)
@@ -150,18 +205,21 @@ def _robots(tree: Any) -> dict[str, Mapping[str, Any]]:
     return {
         uid: robot
         for uid, robot in robots.items()
-        if isinstance(robot, Mapping) and (robot.get("fpath") or robot.get("urdf_cfg"))
+        if isinstance(robot, Mapping) and _has_file(robot)
     }
 
 
 def _options(composed: Composed) -> dict[str, Mapping[str, Mapping[str, Any]]]:
     """Embodiment -> uid -> its robot, composed with the task as the present one is."""
+    return {
+        option: _robots(_compose_with(composed, option).tree) for option in list_options(EMBODIMENT)
+    }
+
+
+def _compose_with(composed: Composed, option: str) -> Composed:
+    """The present config with another embodiment."""
     lines = [line for line in composed.overrides if not line.lstrip("+~").startswith(EMBODIMENT)]
-    options: dict[str, Mapping[str, Mapping[str, Any]]] = {}
-    for option in list_options(EMBODIMENT):
-        other = compose([*lines, f"{EMBODIMENT}={option}"], composed.config_name)
-        options[option] = _robots(other.tree)
-    return options
+    return compose([*lines, f"{EMBODIMENT}={option}"], composed.config_name)
 
 
 def _missing_needs(task: EnvCfg, known: Known, uids: set[str]) -> Iterator[_Need]:

@@ -165,6 +165,7 @@ def compose(
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
     problems = [*parsed.problems, *apply_values(config, parsed.values)]
     problems += _lists_of_options(loader.merged, files)
+    problems += _misplaced_variations(loader.merged, files)
     locator = Locator(files, parsed.values)
     for file in (*files, *of_hydra):
         problems += file.problems()
@@ -280,6 +281,35 @@ def _lists_of_options(
     return problems
 
 
+def _misplaced_variations(
+    merged: Sequence[ResultDefault], files: Sequence[ConfigFile]
+) -> list[Problem]:
+    """Return a problem for each file of the group `variation` at another place than its own."""
+    places: set[tuple[str, str]] = set()
+    for default in merged:
+        group, _, option = (default.config_path or "").rpartition("/")
+        if group == "variation":
+            places.add((default.package or "", option))
+    problems: list[Problem] = []
+    for file in files:
+        package = file.package
+        if (package, file.path.stem) not in places or package.startswith(f"{_VARIATIONS}."):
+            continue
+        if package in ("", "task") and _VARIATIONS in file.keys:
+            continue  # its keys begin with those of the place
+        name = file.path.stem
+        message = f"its first line must be `# @package {_VARIATIONS}.{name}`"
+        hint = ""
+        if package not in ("", "variation"):
+            similar = [_VARIATIONS] if package.startswith("task.v") else []
+            hint = did_you_mean(package.rpartition(".")[0], similar).strip()
+        source = display_path(file.path)
+        problems.append(Problem(package or "variation", message, hint, source))
+    return problems
+
+
+_VARIATIONS = "task.variations"
+"""The map of a task's variations."""
 _WHOLE_OPTIONS = {"sim": "default", "record": "mcap", "viewer": "none"}
 """Group -> the option of this package over which options of users are merged."""
 

@@ -12,7 +12,11 @@ from embodichain.config.composition.locate import ConfigFile, display_path
 from embodichain.config.composition.yaml_words import compose_nodes, quoting, scalar_text
 from embodichain.utils.errors import Problem
 
+<<<<<<< HEAD
 __all__ = ["chosen_twice", "explain_defaults", "explain_lists", "place_of_choice"]
+=======
+__all__ = ["chosen_twice", "explain_defaults", "place_of_choice", "place_of_override"]
+>>>>>>> fixb
 
 
 class _Entry(NamedTuple):
@@ -121,6 +125,28 @@ def place_of_choice(files: Sequence[ConfigFile], group: str, option: str) -> str
             if entry.name == f"{group}/{option}" and entry.key:
                 place = entry.source
     return place
+
+
+def place_of_override(folders: Sequence[Path], name: str, choice: str) -> str:
+    """Return where a file overrides a choice, ``FILE:LINE``; empty if there is no such file.
+
+    Args:
+        folders: Folders with groups, in the order in which they are searched.
+        name: The file, as Hydra calls it: ``experiment/mine``.
+        choice: The group with its package from the root: ``object@task.objects.mug``.
+    """
+    path = next((p for folder in folders if (p := folder / f"{name}.yaml").is_file()), None)
+    if path is None:
+        return ""
+    group, _, package = choice.partition("@")
+    for entry in _entries(path, name):
+        written_group, _, written_package = entry.key.partition("@")
+        is_override = written_group.startswith("override ")
+        is_group = written_group.split()[-1:] in ([f"/{group}"], [group])
+        # A file's packages begin at its own: `objects.mug` in a task is `task.objects.mug`.
+        if is_override and is_group and package.endswith(written_package.rpartition("_.")[2]):
+            return entry.source
+    return display_path(path)
 
 
 def _name_of(path: Path, folder: Path) -> str:

@@ -37,7 +37,11 @@ from omegaconf import DictConfig, OmegaConf
 from embodichain.config.composition.defaults_lists import (
     chosen_twice,
     explain_defaults,
+<<<<<<< HEAD
     explain_lists,
+=======
+    place_of_override,
+>>>>>>> fixb
 )
 from embodichain.config.composition.environment import register_env_resolvers
 from embodichain.config.composition.locate import (
@@ -81,6 +85,11 @@ SEARCH_PATH = "hydra.searchpath"
 _DEEPEST = 200
 """Depth of nested maps and lists that Python's recursion allows in Hydra and OmegaConf."""
 _SHOWN_BY = {"task": "embodichain list tasks"}
+_UNPLACED = re.compile(
+    r"(?:In '(?P<file>[^']+)': )?Could not (?P<verb>override|delete) '(?P<choice>[^'=]+)[^']*'"
+    r"(?:.*\nDid you mean to override (?:one of )?(?P<places>[^?]+)\?)?"
+)
+"""Hydra's refusal to change a choice that no file makes."""
 # Options that the packages of the extra `sweep` provide.
 _PLUGINS = {("hydra/launcher", "joblib"), ("hydra/sweeper", "optuna")}
 _config_dir: ContextVar[Path | None] = ContextVar("config_dir", default=None)
@@ -306,9 +315,9 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
         return [_unchosen(unchosen[1], loader)]
     if isinstance(error, MissingConfigException):
         return [_no_such_config(error, loader)]
-    unplaced = re.search(r"Could not override '(embodiment)(@\w+)?'", str(error))
+    unplaced = _UNPLACED.search(str(error))
     if unplaced:
-        return [_unplaced(unplaced[1], is_placed=unplaced[2] is not None)]
+        return [_unplaced(unplaced, loader)]
     duplicate = re.search(r"Multiple values for (\S+)\.|(\S+) appears more than once", str(error))
     if duplicate:
         return _chosen_twice(duplicate[1] or duplicate[2], error, loader)
@@ -351,19 +360,31 @@ def _chosen_twice(group: str, error: Exception, loader: ConfigLoader) -> list[Pr
     return [Problem(group, message, source=COMMAND_LINE)]
 
 
-def _unplaced(group: str, *, is_placed: bool) -> Problem:
-    """The problem that an option is chosen of a group that the task does not place.
-
-    Args:
-        group: The group.
-        is_placed: Whether the choice says where the task places it, as overrides do.
-    """
-    if not is_placed:
+def _unplaced(refusal: re.Match[str], loader: ConfigLoader) -> Problem:
+    """The problem that an option is chosen where no file has a place for its group."""
+    choice = refusal["choice"]
+    group, at, _ = choice.partition("@")
+    source = COMMAND_LINE
+    if refusal["file"]:
+        source = place_of_override(_folders(loader), refusal["file"], choice) or COMMAND_LINE
+    if choice == "embodiment":
         message = f"a file chooses it where no task places it: write `override /{group}@task: NAME`"
-        return Problem(group, message, source=COMMAND_LINE)
-    message = f"the task has no place for an {group}: its robot is written in it."
-    hint = f"Add the line `- /{group}@_here_: NAME` to its defaults, and leave out its `robot`."
-    return Problem(group, message, hint, COMMAND_LINE)
+        return Problem(group, message, source=source)
+    places = [place for place in (refusal["places"] or "").split(", ") if place]
+    if choice == "embodiment@task" and not places:
+        message = f"the task has no place for an {group}: its robot is written in it."
+        hint = f"Add the line `- /{group}@_here_: NAME` to its defaults, and leave out its `robot`."
+        return Problem(group, message, hint, source)
+    if refusal["verb"] == "delete":
+        return Problem(choice, "cannot delete it: no option is chosen there", source=source)
+    message = "no option is chosen there"
+    if not at:
+        message = f"its place is missing: {group}@PLACE=NAME"
+    message = f"{message}; places of this group: {listing(places, choice)}."
+    hint = did_you_mean(choice, places).strip()
+    if not hint and source == COMMAND_LINE:
+        hint = f"+{group}@PLACE=NAME adds one."
+    return Problem(choice, message, hint, source)
 
 
 def _unchosen(group: str, loader: ConfigLoader) -> Problem:

@@ -16,6 +16,8 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["remove_null_entries"]
 
+_ARRANGED = ("params", "objects")
+"""The objects of the event `arrange_objects`."""
 Parts = tuple[str, ...]
 _NESTED_TERMS = ("params", "terms")
 """The terms within `all_of`, `sum_of` and the like; parameters have no schema of keys."""
@@ -68,6 +70,11 @@ def _is_keyed_by_name(parts: list[str], tree: dict[str, Any]) -> bool:
     """Whether a map has free names, and values of a type that null is not of."""
     if tuple(parts[-2:]) == _NESTED_TERMS:
         return True
+    if tuple(parts[-2:]) == _ARRANGED:
+        event: Any = tree
+        for part in parts[:-2]:
+            event = event[part]
+        return bool(event.get("func") == "arrange_objects")
     values = schema_at(parts, tree).get("additionalProperties")
     return isinstance(values, Mapping) and bool(values) and not _allows_null(values)
 

@@ -153,6 +153,77 @@ def test_the_line_that_chose_the_embodiment_is_told(empty_cwd, capsys):
 
 
 @pytest.mark.parametrize(
+    ("task", "choice", "told"),
+    [
+        (
+            "clutter_pick",
+            "object@task.objects.mgu=can",
+            "object@task.objects.mgu: no option is chosen there; places of this group: "
+            "object@task.objects.ball, object@task.objects.bottle, object@task.objects.bowl, "
+            "object@task.objects.mug. Did you mean 'object@task.objects.mug'?",
+        ),
+        (
+            "clutter_pick",
+            "object=can",
+            "object: its place is missing: object@PLACE=NAME; places of this group: "
+            "object@task.objects.ball, ",
+        ),
+        (
+            "reach",
+            "object=can",
+            "places of this group: none. +object@PLACE=NAME adds one.",
+        ),
+        (
+            "reach",
+            "scene=studio",
+            "scene: its place is missing: scene@PLACE=NAME; places of this group: "
+            "scene@task.scene. ",
+        ),
+        ("reach", "embodiment@task.robot=panda", "places of this group: embodiment@task."),
+        ("reach", "~scene@task.scen", "cannot delete it: no option is chosen there"),
+    ],
+)
+def test_a_choice_without_a_place_is_told_the_places(capsys, task, choice, told):
+    assert told in said(capsys, f"task={task}", choice)
+
+
+def test_a_files_choice_without_a_place_is_told_its_line(empty_cwd, capsys):
+    lines = "defaults:\n  - clutter_pick\n  - override /object@objects.mgu: can\n  - _self_\n"
+    write(Path("conf/task"), "mine", f"{lines}description: Mine.\n")
+    text = said(capsys, "task=mine")
+    assert text.startswith("error: conf/task/mine.yaml:3: object@task.objects.mgu: no option is")
+    assert "Did you mean 'object@task.objects.mug'?" in text
+
+
+UR10 = """robot:
+  fpath: UniversalRobots/UR10/UR10.urdf
+  control_parts: {arm: ["Joint[1-6]"]}
+  names: {tool: ee_link, base: base_link, shoulder: shoulder_link}
+"""
+
+
+def test_a_robot_of_another_name_is_told_the_name(empty_cwd, capsys):
+    write(Path("conf/embodiment"), "nouid", UR10)
+    write(Path("conf/embodiment"), "other", f"{UR10}  uid: arm\n")
+    told = "task.robot.uid: tasks call it robot; write uid: robot"
+    assert said(capsys, "task=reach", "embodiment=nouid") == (
+        f"error: conf/embodiment/nouid.yaml:1: {told}"
+    )
+    assert said(capsys, "task=reach", "embodiment=other") == (
+        f"error: conf/embodiment/other.yaml:5: {told}"
+    )
+
+
+def test_an_embodiment_that_cannot_load_is_not_advised(empty_cwd, capsys):
+    mine = f"{UR10}  uid: robot\n"
+    write(Path("conf/embodiment"), "nofile", mine.replace("UR10.urdf", "UR11.urdf"))
+    write(Path("conf/embodiment"), "typo", f"{mine}  drive_prs: 1\n")
+    text = said(capsys, "task=reach", "embodiment=go2")
+    assert "Embodiments that have it: panda" in text
+    assert "nofile" not in text and "typo" not in text
+
+
+@pytest.mark.parametrize(
     ("task", "embodiment", "lacks"),
     [
         (

@@ -44,6 +44,20 @@ def test_an_entry_is_removed(write_task: WriteTask, path: str, left: list[str]) 
         assert list(section) == left
 
 
+def test_an_arranged_object_is_removed(empty_cwd: Path) -> None:
+    Path("conf/task").mkdir(parents=True)
+    text = "defaults: [clutter_pick, _self_]\nevents: {layout: {params: {objects: {NAME: null}}}}\n"
+    Path("conf/task/child.yaml").write_text(text.replace("NAME", "bottle"))
+    composed = compose(["task=child"])
+    assert validate(composed) == []
+    objects = composed.tree["task"]["events"]["layout"]["params"]["objects"]
+    assert list(objects) == ["cube", "stand", "bowl", "mug", "ball"]
+    Path("conf/task/child.yaml").write_text(text.replace("NAME", "botle"))
+    (problem,) = validate(compose(["task=child"]))
+    assert "there is no 'botle' in task.events.layout.params.objects" in str(problem)
+    assert "Did you mean 'bottle'?" in str(problem)
+
+
 def test_an_entry_that_is_not_inherited(write_task: WriteTask) -> None:
     write_task(text=PARTS)
     child("rewards: {naer: null}\nrobot:\n  attach: {gripper: null}\n")

@@ -304,3 +304,25 @@ def test_a_varied_run_replays_and_repeats(tmp_path: Path, monkeypatch: pytest.Mo
     task = yaml.safe_load(config.read_text())["task"]
     assert "variations" not in task
     assert task["events"]["mass_cube"]["params"]["mass"] == [0.5, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "path", "hint"),
+    [
+        ("description: Mine.\n", "variation", ""),
+        ("", "variation", ""),
+        ("# @package task.variation.mine\ndescription: Mine.\n", "task.variation.mine", "Did"),
+        ("# @package task.variations\ndescription: Mine.\n", "task.variations", ""),
+        ("# @package _global_\ndescription: Mine.\n", "variation", ""),
+    ],
+)
+def test_a_file_without_the_place_of_a_variation(
+    empty_cwd: Path, text: str, path: str, hint: str
+) -> None:
+    file = Path("conf/variation/mine.yaml")
+    file.parent.mkdir(parents=True)
+    file.write_text(text)
+    told = _problems("task=reach", "variation=mine")[0]
+    line = "its first line must be `# @package task.variations.mine`"
+    assert told.startswith(f"conf/variation/mine.yaml: {path}: {line}")
+    assert ("Did you mean 'task.variations'?" in told) == bool(hint)
