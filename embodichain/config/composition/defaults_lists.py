@@ -12,11 +12,13 @@ from embodichain.config.composition.locate import ConfigFile, display_path
 from embodichain.config.composition.yaml_words import compose_nodes, quoting, scalar_text
 from embodichain.utils.errors import Problem
 
-<<<<<<< HEAD
-__all__ = ["chosen_twice", "explain_defaults", "explain_lists", "place_of_choice"]
-=======
-__all__ = ["chosen_twice", "explain_defaults", "place_of_choice", "place_of_override"]
->>>>>>> fixb
+__all__ = [
+    "chosen_twice",
+    "explain_defaults",
+    "explain_lists",
+    "place_of_choice",
+    "place_of_override",
+]
 
 
 class _Entry(NamedTuple):

@@ -37,11 +37,8 @@ from omegaconf import DictConfig, OmegaConf
 from embodichain.config.composition.defaults_lists import (
     chosen_twice,
     explain_defaults,
-<<<<<<< HEAD
     explain_lists,
-=======
     place_of_override,
->>>>>>> fixb
 )
 from embodichain.config.composition.environment import register_env_resolvers
 from embodichain.config.composition.locate import (
