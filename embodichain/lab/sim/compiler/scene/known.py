@@ -48,6 +48,11 @@ class Place(NamedTuple):
     pos: F64
     quat: F64
 
+    @property
+    def is_origin(self) -> bool:
+        """Whether it is the body's own frame, as that of a link."""
+        return not self.pos.any() and bool((self.quat == _UNTURNED).all())
+
 
 _UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
 

@@ -155,17 +155,22 @@ def add_views(
         elif cfg.body in bodies:
             body = bodies[cfg.body]
         else:
-            body = _add_body_on_frame(spec, f"views/{name}", cfg.body, known)
+            body = _body_on_frame(spec, f"views/{name}", cfg.body, known)
         camera = body.add_camera(name=name, fovy=FOVY if cfg.fovy is None else float(cfg.fovy))
         follows_position = cfg.body is not None and cfg.follow == "position"
         camera.mode = _TRACK if follows_position else _FIXED
 
 
-def _add_body_on_frame(spec: mujoco.MjSpec, name: str, frame: str, known: Known) -> mujoco.MjsBody:
-    """Add a body without mass at the pose of a site or a geom, ``ENTITY/NAME``."""
+def _body_on_frame(spec: mujoco.MjSpec, name: str, frame: str, known: Known) -> mujoco.MjsBody:
+    """The body of a link that a robot's `names` have, ``ENTITY/NAME``.
+
+    For a site or a geom it is a new body without mass at its pose.
+    """
     place, _ = find_place(frame, known)
     if place is None:
         raise RuntimeError(f"{frame!r} was found before")
+    if place.is_origin:
+        return spec.body(place.body)
     return spec.body(place.body).add_body(name=name, pos=place.pos, quat=place.quat)
 
 
