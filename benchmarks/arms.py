@@ -23,7 +23,7 @@ CYCLE = 16
 SEED = 0
 LINK_POSE = (
     "+task.observations.tool={func: link_pose, "
-    "params: {entity_cfg: {uid: robot, link_names: [ee_link]}}}"
+    "params: {entity_cfg: {uid: ur10, link_names: [ee_link]}}}"
 )
 
 

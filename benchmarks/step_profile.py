@@ -24,7 +24,7 @@ PARTS = {
     "hook after physics": ("_update_sim_state",),
     "terminations, metrics, info": ("_judge", "_outcome"),
     "rewards": ("_judge", "_reward"),
-    "time limits": ("episodes", "over"),
+    "time limits": ("episodes", "take_truncated"),
     "events": ("event_manager", "step"),
     "commands": ("command_manager", "step"),
     "observation": ("_step_observation", "_observe"),
