@@ -72,7 +72,7 @@ def test_episodes_of_a_run_begin_with_the_first_step(tmp_path, monkeypatch, caps
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["task=push_cube"], "policy: the task has no section `expert`"),
+        (["task=cart_pole"], "policy: the task has no section `expert`"),
         (["task=pick_place", "task.expert=[{grasp: cub}]"], "Did you mean 'cube'?"),
         (["task=pick_place", "task.expert=[{grab: cube}]"], "task.expert.0.grab: unknown step"),
         (["task=pick_place", "task.expert=3"], "task.expert: expected"),
