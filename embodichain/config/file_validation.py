@@ -21,6 +21,8 @@ __all__ = ["checked_file", "notes_on_file", "resolve_file", "validate_file"]
 
 _GROUPS = ("task", "scene", "variation", "sim", "record", "viewer", "algo", "experiment")
 _ANY_TASK = "task=random_reach"
+_PLACES = {"embodiment": "_here_", "object": "objects.{option}"}
+"""Group whose options have no place of their own -> where a task puts one."""
 
 
 def validate_file(path: str | Path, verb: JobVerb = "run") -> list[Problem]:
@@ -109,9 +111,16 @@ def _composed_option(file: Path, verb: JobVerb) -> Composed:
             overrides.insert(0, _ANY_TASK)
         return compose(overrides, verb, file.parent.parent)
     with tempfile.TemporaryDirectory() as folder:
-        link = Path(folder, "task", file.name).with_suffix(".yaml")
-        link.parent.mkdir()
-        link.symlink_to(file)
+        task = Path(folder, "task", file.name).with_suffix(".yaml")
+        task.parent.mkdir()
+        if group in _PLACES:
+            Path(folder, group).symlink_to(file.parent.resolve())
+            place = _PLACES[group].format(option=file.stem)
+            task.write_text(
+                f"defaults:\n  - /{group}@{place}: {file.stem}\ndescription: {file.stem}\n"
+            )
+        else:
+            task.symlink_to(file)
         return compose([f"task={file.stem}"], verb, folder)
 
 
