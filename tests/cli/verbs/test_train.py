@@ -39,6 +39,8 @@ def test_a_training_is_evaluated_as_eval_would(trained, capsys):
     summary = json.loads((trained / "summary.json").read_text())
     whole = json.loads((trained / "eval.json").read_text())
     again = told(capsys, "eval", str(trained), "episodes=6", "record=none")
+    drawn = whole["per_episode"].pop("drawn")  # it is read from the log, which `again` has not
+    assert {name: len(draws) for name, draws in drawn.items()} == {"place_goal.position": 6}
     apart = ("folder", "log", "seconds")
     assert {k: v for k, v in whole.items() if k not in apart} == {
         k: v for k, v in again.items() if k not in apart

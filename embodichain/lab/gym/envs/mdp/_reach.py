@@ -8,17 +8,20 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any
 
-import mujoco
+import lazy_loader
 import numpy as np
 
-from embodichain.lab.sim.compiler.robot.tool_home import can_reach
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
+    import mujoco
+
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.reads.frames import BodyFrames
     from embodichain.utils.array_types import Floats
+else:
+    mujoco = lazy_loader.load("mujoco")
 
 __all__ = ["fitted_share", "initial_pose_of"]
 
@@ -66,6 +69,8 @@ def fitted_share(env: TermContext, action: str, origin: Floats, offsets: Floats)
     Raises:
         ConfigError: If no share of the offsets is reached.
     """
+    from embodichain.lab.sim.compiler.robot.tool_home import can_reach  # imports MuJoCo
+
     actions: Any = getattr(env, "action_manager")  # noqa: B009
     terms = {name: built.instance for name, built in actions.terms.items()}
     term = terms.get(action)
