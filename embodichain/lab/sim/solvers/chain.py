@@ -7,6 +7,7 @@ environments.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -97,7 +98,8 @@ class Chain:
     def __init__(self, engine: Engine, index: EntityIndex, tool: BodyFrames | int) -> None:
         self.tool = link_frame(tool) if isinstance(tool, int) else tool
         self.body = int(self.tool.bodies)
-        self._engine = engine
+        # Solvers are parts of cycles: a closed environment must not wait for the collector.
+        self._engine: Engine = weakref.proxy(engine)
         self._fields: tuple[str, ...] = _FIELDS
         if self.tool.kind != "link":
             self._fields += (f"{self.tool.kind}_pos", f"{self.tool.kind}_quat")
