@@ -455,7 +455,7 @@ def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool
 
     resolved = job.resolved
     folder = job.folder
-    # Folders are sent around: whoever has one must not be able to open the viewer.
+    # Run folders are shared: having one must not open the viewer.
     command = without_token(replace_last(command))
     if not is_continued:
         write_record(folder, resolved, command)

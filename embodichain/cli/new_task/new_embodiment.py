@@ -176,14 +176,14 @@ def _fingers(robot: RobotFile, arm: Sequence[str]) -> list[str]:
     joints_of = {name: _joints_above(model, int(model.body(name).id)) for name in links}
     # A finger is moved by a joint of its own; pads on it are not fingers.
     moved = [n for n in links if joints_of[n] and joints_of[n][-1] not in arm]
-    fingers: dict[str, str] = {}
+    first_link_of_joint: dict[str, str] = {}
     for name in moved:
-        fingers.setdefault(joints_of[name][-1], name)
-    found = [*fingers.values()]
-    if len(found) == 1:  # a jaw that closes on the hand
-        parent = int(model.body_parentid[model.body(found[0]).id])
-        found.insert(0, model.body(parent).name)
-    return found
+        first_link_of_joint.setdefault(joints_of[name][-1], name)
+    fingers = list(first_link_of_joint.values())
+    if len(fingers) == 1:  # a jaw that closes on the hand
+        parent = int(model.body_parentid[model.body(fingers[0]).id])
+        fingers.insert(0, model.body(parent).name)
+    return fingers
 
 
 def _moves(model: mujoco.MjModel, joint: str, links: Sequence[str]) -> bool:

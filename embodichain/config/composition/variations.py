@@ -209,8 +209,8 @@ class _Merger:
         declared = copy.deepcopy(event)
         kind = declared.pop("for_each", None)
         if strength != 1.0:
-            own = self._strength(declared.get("strength", 1.0), f"{path}.strength")
-            declared["strength"] = strength * own
+            strength_of_event = self._strength(declared.get("strength", 1.0), f"{path}.strength")
+            declared["strength"] = strength * strength_of_event
         if kind is None:
             self._insert("events", key, declared, path)
             return

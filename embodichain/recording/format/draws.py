@@ -1,7 +1,7 @@
 """`EpisodeDraws`: what was drawn for the running episode of each environment.
 
 The recorder gives it every event. When episodes end, it returns their numbers as `Drawn`, which
-stands in their message on the channel `/episode`.
+is in their message on the channel `/episode`.
 """
 
 from __future__ import annotations

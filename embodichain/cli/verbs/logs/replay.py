@@ -457,7 +457,7 @@ def _open_screen(log: Log, options: ReplayOptions, stop: StopFlag) -> Screen:
         access=options.access,
     )
     page = WebPage(log.model, page_options, num_envs=log.num_envs, stopped=stop.is_stopped)
-    if not options.quiet or page.url != page.address:  # nobody can guess the URL's token
+    if not options.quiet or page.url != page.address:  # the URL has a token that must be shown
         sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
         sys.stderr.flush()
     warn_if_public(host, page.url, controls=True)

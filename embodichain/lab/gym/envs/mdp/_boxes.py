@@ -97,9 +97,11 @@ class Boxes:
             room = other_half[..., j] + _sum3(half * size[..., :, j])
             is_apart |= distance > room - TOUCHING
         for i in range(3):
-            i1, i2 = (i + 1) % 3, (i + 2) % 3
+            i1 = (i + 1) % 3
+            i2 = (i + 2) % 3
             for j in range(3):
-                j1, j2 = (j + 1) % 3, (j + 2) % 3
+                j1 = (j + 1) % 3
+                j2 = (j + 2) % 3
                 distance = offset[..., i2] * cosine[..., i1, j]
                 distance = np.abs(distance - offset[..., i1] * cosine[..., i2, j])
                 room = half[..., i1] * size[..., i2, j] + half[..., i2] * size[..., i1, j]
