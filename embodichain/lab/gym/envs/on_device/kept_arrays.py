@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import types
+import weakref
 from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
@@ -30,6 +31,7 @@ _LEAVES = (
     torch.device,
     torch.nn.Module,
     torch.Generator,
+    *weakref.ProxyTypes,  # what they refer to is kept, and found, elsewhere
 )
 """Classes whose objects are not looked into."""
 _FOREIGN = (
