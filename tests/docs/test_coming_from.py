@@ -37,7 +37,22 @@ PYTHON = {"flatten", "autoreset_mode", "render_mode"}
 """Arguments of our vector environments and of `gymnasium.make_vec`."""
 FILES = "".join(
     (REPO / "docs" / name).read_text(encoding="utf-8")
-    for name in ("cli.md", "training.md", "sweeps.md", "log.md", "gpu.md", "extending.md")
+    for name in (
+        "cli.md",
+        "training.md",
+        "resuming.md",
+        "evaluation.md",
+        "comparing.md",
+        "policies.md",
+        "learners.md",
+        "exporting.md",
+        "symmetry.md",
+        "critic.md",
+        "sweeps.md",
+        "log.md",
+        "gpu.md",
+        "extending.md",
+    )
 )
 """Pages, tested themselves, that name files of run folders, Hydra's keys and signatures."""
 
