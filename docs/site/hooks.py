@@ -24,7 +24,7 @@ ROOT_PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 """Markdown in the root of the repository that is a page of the site, under the same name."""
 REPOSITORY = "repository"
 """Folder of the site with files from outside of docs/ that pages link to."""
-UNLISTED = "How-to guides"
+UNLISTED = "How to"
 """Section of the navigation that pages are appended to which mkdocs.yml does not name."""
 LINK = re.compile(r"(?P<before>\]\()(?P<path>(?!\w+:)[^)#\s]+)(?P<anchor>#[^)\s]*)?(?=\))")
 CODE = re.compile(r"^(?P<fence>```+|~~~+).*?^(?P=fence)\s*$|`[^`\n]+`", re.MULTILINE | re.DOTALL)

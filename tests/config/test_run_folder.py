@@ -53,7 +53,7 @@ def test_no_place_for_outputs() -> None:
 
 def test_a_sweeps_folder_is_adopted_once() -> None:
     assert adopt("sweeps/0") == Path("sweeps/0")
-    with pytest.raises(ConfigError, match="sweeps/0 has a run already"):
+    with pytest.raises(ConfigError, match="sweeps/0 contains a run already"):
         adopt("sweeps/0")
 
 

@@ -230,6 +230,6 @@ def test_a_page_without_a_place_is_appended_to_the_guides(monkeypatch, tmp_path)
     finally:
         for name in ("hooks", "notebook_pages"):
             sys.modules.pop(name, None)
-    guides = next(section["How-to guides"] for section in config.nav if "How-to guides" in section)
+    guides = next(section["How to"] for section in config.nav if "How to" in section)
     assert guides[-1] == "new/page.md"
     assert "cli.md" not in guides

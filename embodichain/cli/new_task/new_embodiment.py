@@ -63,7 +63,7 @@ def guess_embodiment(fpath: str) -> list[Guess]:
     else:
         effort = ", max_effort: file" if (parsed.qf_limits < 1e9).all() else ""
         drives = f"{{stiffness: 500, damping: 50{effort}}}"
-        guesses.append(Guess("drive_pros", drives, "a URDF says nothing of gains: tune them"))
+        guesses.append(Guess("drive_pros", drives, "a URDF has no gains: tune them"))
     return guesses
 
 

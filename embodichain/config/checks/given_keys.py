@@ -62,7 +62,7 @@ def _ignored(cfg: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
         attrs = given.get("attrs") or {}
         for name in _OF_FILE:
             if attrs.get(name) is not None:
-                yield Problem(f"attrs.{name}", "has no effect: links have that of their file")
+                yield Problem(f"attrs.{name}", "has no effect: links keep the value of their file")
 
 
 def _mistakes(cfg: Any, given: Mapping[str, Any]) -> Iterator[Problem]:

@@ -80,7 +80,7 @@ def malformed(line: str, error: Exception | str) -> Problem:
     key, _, value = line.partition("=")
     reason = str(error).splitlines()[0]
     if not key.isascii():
-        reason = "names of keys are of ASCII letters here; others can be written in a file"
+        reason = "names of keys are ASCII letters here; others can be written in a file"
     elif "=" not in line:
         reason = "it has no ="
     elif any(value.count(a) != value.count(b) for a, b in ("[]", "{}", "()")):

@@ -65,7 +65,7 @@ def load_configured(file: Path, algo: str, group: str, env: BaseEnv) -> BaseAlgo
     model = algorithm.build(vec_env, None)
     load_parameters(model, file, "policy")
     model.env = None
-    _log.warning("%s: weights alone were read; the rest is of its run's %s", file, CONFIG)
+    _log.warning("%s: only weights were read; the rest comes from its run's %s", file, CONFIG)
     return model
 
 

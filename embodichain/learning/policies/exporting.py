@@ -263,7 +263,7 @@ def _check_exportable(policy: LearnedPolicy) -> None:
     space = actor_space(policy.model.policy)
     entry_count = len(space) if isinstance(space, spaces.Dict) else 1
     if len(number_keys(space)) < entry_count:
-        message = f"{policy.name} sees images: policies of numbers are exported"
+        message = f"{policy.name} reads images; only policies that read numbers can be exported"
         raise ConfigError([Problem("policy", message)])
     if hasattr(policy.model.policy, "lstm_actor"):
         message = f"{policy.name} is recurrent: a file without memory cannot act as it does"

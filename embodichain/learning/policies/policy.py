@@ -294,7 +294,7 @@ class LearnedPolicy(TrainedPolicy):
             shape = _normalized_shape(observation_space)
             if self.statistics.shape != shape:
                 problems.append(
-                    f"sees observations {shape}, its statistics are of {self.statistics.shape}"
+                    f"reads observations {shape}, its statistics are for {self.statistics.shape}"
                 )
         if not _is_of_vec_env(action_space):
             problems.append(f"acts in {action_space}, not in [-1, 1] as on an SB3VecEnv")

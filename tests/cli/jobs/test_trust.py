@@ -104,7 +104,7 @@ def test_a_planted_pickle_is_not_run(
         if case == "weights alone":  # as a training resumes
             assert main(words) == 0, capsys.readouterr().err
             said = capsys.readouterr().err + caplog.text
-            assert "weights alone were read; the rest is of its run's config.yaml" in said
+            assert "only weights were read; the rest comes from its run's config.yaml" in said
         else:
             # Whoever wrote the folder does not say whom to trust.
             changed = {**config, "trust": True, "algo": None}

@@ -89,7 +89,7 @@ def test_the_table_of_bad_configs(name: str, write_task: WriteTask, capsys: Any)
         (
             "+task.events.look={func: randomize_visual_material, "
             "params: {entity_cfg: {uid: ball}}}",
-            "task.events.look.params.base_color_range: missing: nothing is to change",
+            "task.events.look.params.base_color_range: missing: give this",
         ),
         ("+task.robot.control_parts={arm: []}", "task.robot.control_parts.arm: names no joint"),
         (

@@ -112,7 +112,7 @@ def test_odd_folders_of_a_run(empty_cwd: Path, capsys: pytest.CaptureFixture) ->
         "file": "cannot make the run folder file: ",
         "file/in/it": "cannot make the run folder file/in/it: ",
         "/proc/x": "cannot make the run folder /proc/x: ",
-        "used": "used has a run already",
+        "used": "used contains a run already",
     }.items():
         assert main(["run", *SHORT, f"hydra.run.dir={value}"]) == 2
         said = capsys.readouterr().err

@@ -131,7 +131,7 @@ def test_hydras_run_dir_is_the_run_folder(tmp_path: Path, capsys) -> None:
     assert json.loads(capsys.readouterr().out)["folder"] == str(tmp_path / "mine")
     assert (tmp_path / "mine" / "rollout.mcap").exists()
     assert main(line) == 2
-    assert "has a run already" in (said := capsys.readouterr().err)
+    assert "contains a run already" in (said := capsys.readouterr().err)
     assert "-m hydra.sweep.dir=FOLDER" in said
 
 

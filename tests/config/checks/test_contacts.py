@@ -201,7 +201,7 @@ def test_an_attached_file_and_an_object_and_the_ground_have_them_too() -> None:
 
 WRONG: list[tuple[Sections, str]] = [
     ({"contact": {"tipp": {"condim": 4}}}, "contact.tipp: no link or geom matches 'tipp'; there "),
-    ({"contact": {"shell": {"condim": 4}}}, "contact.shell: nothing of 'shell' collides"),
+    ({"contact": {"shell": {"condim": 4}}}, "contact.shell: no part of 'shell' collides"),
     ({"contact": {"pad": {"condim": 2}}}, "contact.pad.condim: expected one of 1, 3, 4 or 6, got"),
     ({"contact": {"pad": {"solref": [0.1, -1]}}}, "contact.pad.solref: must be [time constant, "),
     ({"contact": {"pad": {"solimp": [0.9, 1.5]}}}, "contact.pad.solimp: dmax must be 0.0001 to"),

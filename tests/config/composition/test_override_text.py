@@ -41,7 +41,7 @@ def test_sweeps_and_functions_stay() -> None:
 def test_a_key_with_other_letters(write_task: WriteTask) -> None:
     write_task()
     (problem,) = compose(["task=mine", "+task.objects.größe={}"]).problems
-    message = "names of keys are of ASCII letters here; others can be written in a file"
+    message = "names of keys are ASCII letters here; others can be written in a file"
     assert message in str(problem)
 
 

@@ -232,7 +232,7 @@ def test_statistics_of_another_task(normalized):
     other = VecNormalize(SB3VecEnv(CountingEnv([0])))
     other.obs_rms.mean, other.obs_rms.var = np.zeros(2), np.ones(2)
     save_statistics(statistics_path(path), other)
-    with pytest.raises(ConfigError, match=r"observations \(3,\), its statistics are of \(2,\)"):
+    with pytest.raises(ConfigError, match=r"observations \(3,\), its statistics are for \(2,\)"):
         load_policy(path)
 
 

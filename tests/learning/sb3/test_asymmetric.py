@@ -175,7 +175,7 @@ def test_numbers_beside_images_are_normalized(tmp_path):
     mean, variance = policy.statistics.obs_mean["qpos"], policy.statistics.obs_var["qpos"]
     expected = np.clip((obs["qpos"] - mean) / np.sqrt(variance + 1e-8), -10, 10)
     np.testing.assert_allclose(shown["qpos"], expected, rtol=1e-6)
-    with pytest.raises(ConfigError, match="sees images: policies of numbers are exported"):
+    with pytest.raises(ConfigError, match="reads images; only policies that read numbers"):
         export_policy(policy, None, tmp_path / "policy.pt", "torchscript")
 
 

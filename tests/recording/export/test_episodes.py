@@ -139,7 +139,7 @@ def test_the_command(logs, tmp_path, capsys):
         assert said["episodes"] == len(file["data"])
     for wrong, why in {
         (*arguments,): "exists; it is never replaced",
-        (*arguments[:-1], "x.hdf5", "--env", "0"): "--env is not for observations",
+        (*arguments[:-1], "x.hdf5", "--env", "0"): "--env does not go with observations",
         (*arguments[:-1], "x.hdf5", "--group", "actor"): "no observation group 'actor'",
         ("export", "a", "--format", "csv", "--observations"): "csv has no observations",
         ("export", "a", "--format", "lerobot", "--failures"): "--failures needs --observations",

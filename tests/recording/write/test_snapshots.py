@@ -188,7 +188,7 @@ def test_a_log_that_begins_within_an_episode_says_so(record):
 
 def test_another_scene_is_refused(record):
     env = embodichain.make("hold_still", num_envs=1)
-    with recording.open(record()) as log, pytest.raises(ConfigError, match="of another scene"):
+    with recording.open(record()) as log, pytest.raises(ConfigError, match="from another scene"):
         env.restore(log, step=3)
     with pytest.raises(TypeError, match=r"embodichain\.recording\.open\('log\.mcap'\)"):
         env.restore("log.mcap")

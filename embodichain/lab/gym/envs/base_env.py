@@ -1029,7 +1029,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         require_open(self._closed)
         if saved["num_envs"] != self.num_envs:
             raise ValueError(
-                f"this state is of {saved['num_envs']} environments, "
+                f"this state has {saved['num_envs']} environments, "
                 f"the environment has {self.num_envs}"
             )
         state = self.arrays.loaded(saved)

@@ -400,7 +400,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         counts = [state["num_envs"] for state in states]
         if tuple(counts) != self.pool.counts:
             origin = f"{len(counts)} shards of {counts}" if counts else "one process"
-            message = f"the saved state is of {origin} environments, not of {self.pool.counts}"
+            message = f"the saved state has {origin} environments, not {self.pool.counts}"
             raise ConfigError([Problem("sim.shards", message)])
         self.pool.load(states)
         self.streams.load_state_dict(saved["streams"])

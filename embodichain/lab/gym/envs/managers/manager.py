@@ -705,7 +705,7 @@ class CurriculumManager(Manager[CurriculumCfg]):
             if _have_same_shapes(term.state_dict(), state):
                 term.load_state_dict(copy.deepcopy(state))
             else:
-                text = "curriculum.%s: its state in training is of other shapes; it begins anew"
+                text = "curriculum.%s: its state from training has other shapes; it starts again"
                 _log.warning(text, name)
         for name, state in stage["terms"].items():
             if name in self.terms:

@@ -269,7 +269,7 @@ def _friction_values(entity: ResolvedEntity, options: Options, axis: int) -> Val
             if geom in geoms:
                 groups.append(_FrictionGroup(name, np.array([geom], np.int64)))
         if not groups:
-            message = f"nothing of these collides: {', '.join(entity.frame_names)}"
+            message = f"none of these collides: {', '.join(entity.frame_names)}"
             raise ConfigError([Problem("entity_cfg.geom_names", message)])
         return _coefficients(engine, groups, axis)
 
@@ -282,7 +282,7 @@ def _friction_values(entity: ResolvedEntity, options: Options, axis: int) -> Val
         kind = kind.reshape(-1)
         groups += [_FrictionGroup(name, body_geoms[kind == k]) for k in np.unique(kind)]
     if not groups:
-        message = f"nothing of {entity.uid!r} collides: {', '.join(names)}"
+        message = f"no part of {entity.uid!r} collides: {', '.join(names)}"
         raise ConfigError([Problem("entity_cfg", message)])
     return _coefficients(engine, groups, axis)
 

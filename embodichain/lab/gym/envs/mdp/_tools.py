@@ -137,7 +137,7 @@ def arm_solver(entity: ResolvedEntity, path: str = "entity_cfg") -> ArmSolver:
     names = list(entity.frame_names) or tool_links(entity)
     if len(names) != 1:
         suggested = names or "none"
-        message = f"name one {entity.kind} as the tool; the picked joints suggest {suggested}"
+        message = f"cannot tell which {entity.kind} is the tool, name it; candidates: {suggested}"
         raise ConfigError([Problem(f"{path}.{entity.kind}_names", message)])
     tool = entity.frame if entity.frame_names else link_frame(asset.body_of(names[0]))
     part = entity.control_parts[0] if len(entity.control_parts) == 1 else None

@@ -128,7 +128,7 @@ def _require_same_scene(snapshot: Snapshot, model: mujoco.MjModel) -> None:
         if names != recorded:
             missing = [name for name in recorded if name not in names] or recorded
             raise ConfigError(
-                f"{snapshot.origin}: it is of another scene: {kind} here are "
+                f"{snapshot.origin}: it is from another scene: {kind} here are "
                 f"{', '.join(names) or 'none'}; recorded were {', '.join(missing)}"
             )
     layout = {name: (part.start, part.stop) for name, part in row_layout(model).items()}

@@ -121,7 +121,7 @@ def read_mesh(path: Path) -> MeshData:
         MeshError: If the format is unknown, a library is missing, or the file is broken.
     """
     if path.suffix.lower() not in _SUFFIXES:
-        message = f"{path}: format {path.suffix or 'none'} is none of {', '.join(_SUFFIXES)}"
+        message = f"{path}: format {path.suffix or 'none'} is not one of {', '.join(_SUFFIXES)}"
         raise MeshError(message)
     try:
         data = _read_collada(path) if path.suffix.lower() == ".dae" else _read_other(path)

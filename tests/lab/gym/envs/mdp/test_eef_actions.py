@@ -258,7 +258,7 @@ def test_a_restored_environment_continues_to_the_bit() -> None:
         (
             "eef_delta_pose",
             {"entity_cfg": {"uid": "ur10", "link_names": ["forearm_link", "ee_link"]}},
-            "name one link as the tool",
+            "cannot tell which link is the tool",
         ),
     ],
 )

@@ -214,7 +214,7 @@ def test_a_restored_environment_has_its_targets(make) -> None:
                 "randomize_robot_eef_pose",
                 entity_cfg={"uid": "ur10", "link_names": ["wrist.*"]},
             ),
-            "name one link as the tool",
+            "cannot tell which link is the tool",
         ),
         (
             event(

@@ -175,7 +175,7 @@ def test_physics_does_not_notice(make) -> None:
             event("randomize_visual_material", **CUBE, texture_path="textures"),
             "textures are compiled into the model",
         ),
-        (event("randomize_visual_material", **CUBE), "nothing is to change"),
+        (event("randomize_visual_material", **CUBE), "else nothing changes"),
         (
             event("randomize_visual_material", **CUBE, base_color_range=[[0] * 3, [2] * 3]),
             "must be within [0, 1]",

@@ -249,7 +249,7 @@ def test_a_collision_mesh_that_cannot_be_read_is_an_error_that_names_the_format(
     with pytest.raises(ConfigError) as raised:
         parse_articulation("m", RobotCfg(fpath=name))
     assert str(raised.value) == (
-        f"m.fpath: {name}: collision mesh of link 'base': {bad}: format .step is none of .dae, "
+        f"m.fpath: {name}: collision mesh of link 'base': {bad}: format .step is not one of .dae, "
         ".glb, .gltf, .obj, .off, .ply, .stl"
     )
 

@@ -182,7 +182,7 @@ def test_an_object_that_cannot_be_built_is_named(cfg, message):
 
 def test_a_mesh_in_another_format_is_named(tmp_path):
     shape = MeshCfg(fpath=write(tmp_path / "part.step", "<x/>"))
-    with pytest.raises(ConfigError, match=r"part\.step: format \.step is none of \.dae, \.glb"):
+    with pytest.raises(ConfigError, match=r"part\.step: format \.step is not one of \.dae, \.glb"):
         only(RigidObjectCfg(shape=shape))
 
 

@@ -57,7 +57,7 @@ class _Surface:
             geoms = geoms[np.isin(model.geom_bodyid[geoms], picked_bodies)]
         visible_geoms = [int(geom) for geom in geoms if model.geom_group[geom] < _HIDDEN_GROUP]
         if not visible_geoms:
-            raise ConfigError([Problem("entity_cfg", f"nothing of {entity.uid!r} is visible")])
+            raise ConfigError([Problem("entity_cfg", f"no part of {entity.uid!r} is visible")])
         self._geoms = visible_geoms
         self._materials = sorted({int(model.geom_matid[geom]) for geom in visible_geoms})
         self.is_object = not entity.is_articulation and entity.kind != "geom"
@@ -222,7 +222,7 @@ class RandomizeVisualMaterial(Term):
             raise ConfigError([Problem("ior_range", f"not available: {reason}; leave it out")])
         self._surface = _Surface(entity_cfg)
         if base_color_range is None and metallic_range is None and roughness_range is None:
-            message = "missing: nothing is to change (or metallic_range, roughness_range)"
+            message = "missing: give this, metallic_range or roughness_range, else nothing changes"
             raise ConfigError([Problem("base_color_range", message)])
         if base_color_range is not None:
             _check_unit_interval("base_color_range", base_color_range)

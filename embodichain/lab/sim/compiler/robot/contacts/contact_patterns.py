@@ -40,7 +40,7 @@ def check_contacts(
         picked = [names[i] for i in ids]
         has_added = not set(picked).isdisjoint(added)
         if picked and not has_added and not _colliding_geoms(spec, picked):
-            message = f"nothing of {', '.join(map(repr, picked))} collides"
+            message = f"no part of {', '.join(map(repr, picked))} collides"
             problems.append(Problem(path, message))
     return problems
 

@@ -284,7 +284,7 @@ def _check_velocities(
             if name in stuck
         ]
     if any(override.get("max_velocity") == 0 for override in overrides.values()):
-        return [Problem("max_velocity", "must be positive; null is no limit")]
+        return [Problem("max_velocity", "must be positive; null means no limit")]
     return []
 
 

@@ -162,7 +162,7 @@ def test_a_mimic_joint_follows_and_has_no_drive_of_its_own(tmp_path):
             "a.drive_pros.max_effort: must be positive; a joint that shall not push needs "
             "stiffness 0 instead",
         ),
-        ({"max_velocity": 0.0}, "a.drive_pros.max_velocity: must be positive; null is no limit"),
+        ({"max_velocity": 0.0}, "a.drive_pros.max_velocity: must be positive; null means no limit"),
         (
             {"max_effort": "urdf"},
             "a.drive_pros.max_effort: expected a number or a map or 'file', got 'urdf'",
