@@ -15,7 +15,7 @@
 #   make test-oldest, make test-newest     a part of the tests with the lowest and highest versions
 #                  that pyproject.toml allows
 #   make names     write the list of public names that a test compares with
-#   make format    sort imports, lay out the code
+#   make format    sort imports and format the code
 #   make pins      write constraints.txt, locked.txt and the list of licences from what .venv holds now
 #   make clean     remove the environments and what the tools left; outputs/ stays
 #
