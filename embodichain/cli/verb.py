@@ -65,7 +65,7 @@ VERBS = {
     ),
     "collect": VerbEntry("learning", "Record episodes until enough of them succeeded; resumable."),
     "augment": VerbEntry(
-        "learning", "Record episodes that repeat recorded ones in other starts of their task."
+        "learning", "Record new episodes that repeat recorded ones from other starts."
     ),
     "play": VerbEntry("running", "Show a trained policy in a window."),
     "compare": VerbEntry(

@@ -20,7 +20,7 @@ __all__ = ["command"]
 @verb(
     "collect",
     ("collect task=pick_place episodes=1000", "1000 successes of the task's expert"),
-    ("collect task=reach policy=last episodes=50", "of a trained policy; any policy will do"),
+    ("collect task=reach policy=last episodes=50", "those of a trained policy; any policy works"),
     ("collect resume=last", "continue after an interruption"),
     ("collect resume=FOLDER episodes=2000", "more, into the same folder"),
     ("collect task=pick_place num_envs=64 sim.num_threads=2", "64 environments at once"),

@@ -44,7 +44,7 @@ _EPISODES = "100"
 @verb(
     "eval",
     ("eval last", "the newest training, 100 episodes"),
-    ("eval outputs/latest episodes=500 seed=7", "more of them, others"),
+    ("eval outputs/latest episodes=500 seed=7", "more episodes, other ones"),
     ("eval last deterministic=false", "actions drawn as in training"),
     ("eval policy.onnx task=reach", "a file, in a task"),
     ("eval random task=reach episodes=50 record=none", "random actions, without a log"),

@@ -39,7 +39,7 @@ class RecoverOptions:
 @verb(
     "recover",
     ("recover last saved.mcap", "the newest run's log; it is only read"),
-    ("recover broken.mcap saved.mcap --json", "what was saved, for scripts"),
+    ("recover broken.mcap saved.mcap --json", "what was saved, as JSON"),
     options=RecoverOptions,
     quiet=True,
 )

@@ -14,7 +14,7 @@ __all__ = ["command"]
     ("run task=random_reach num_envs=4", "as the task suggests, four environments"),
     ("run task=random_reach episodes=2 seed=1 record=none", "two episodes each, no log"),
     ("run task=random_reach task.physics.physics_dt=0.005", "change any value of the task"),
-    ("run task=reach policy=outputs/latest", "play what was trained there"),
+    ("run task=reach policy=outputs/latest", "play the policy that was trained there"),
     ("run -m task=random_reach seed=0,1", "a sweep: one run for each seed"),
     ("run --gym-config gym_config.yaml", "a task in EmbodiChain's own form"),
     ("run task=random_reach --cfg job", "print the config, run nothing"),

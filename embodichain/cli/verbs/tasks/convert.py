@@ -42,7 +42,7 @@ class ConvertOptions:
 
 @verb(
     "convert",
-    ("convert gym_config.yaml", "print the task, and what cannot come along"),
+    ("convert gym_config.yaml", "print the task, and what cannot be converted"),
     ("convert gym_config.json -o conf/task/push.yaml", "write it; then: run task=push"),
     options=ConvertOptions,
 )

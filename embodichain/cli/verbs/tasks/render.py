@@ -66,7 +66,7 @@ class RenderOptions:
     "render",
     ("render task=reach reach.png", "the scene after a reset"),
     ("render task=reach later.png --step 50 seed=1", "after 50 control steps"),
-    ("render task=reach zero.png --step 50 policy=zero", "of another policy"),
+    ("render task=reach zero.png --step 50 policy=zero", "with another policy"),
     ("render task=push_cube grid.png --grid 4x3", "twelve environments, four in a row"),
     options=RenderOptions,
     keys=True,

@@ -58,7 +58,7 @@ class ValidateOptions:
     ("validate --train task=reach algo=sac", "as `train` would read it"),
     ("validate --collect task=pick_place", "as `collect` would"),
     ("validate task=reach task.max_episode_steps=50", "with overrides"),
-    ("validate --config-dir my_conf task=random_reach", "with a folder of yours"),
+    ("validate --config-dir my_conf task=random_reach", "with your folder"),
     options=ValidateOptions,
     keys=True,
     config_dir=True,
