@@ -140,7 +140,7 @@ def film_log(
         RenderError: If no OpenGL library works here.
     """
     out = Path(out)
-    need_encoder(out.suffix)
+    need_encoder(out.suffix, instead=f"{out.stem}.gif")
     stretch = Stretch(env, episode, first, last)
     style = FilmStyle(speed, size, camera=camera, every=every, max_seconds=max_seconds)
     if os.path.lexists(out):
