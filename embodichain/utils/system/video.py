@@ -251,9 +251,9 @@ class GifFile(Film):
         if self._previous is None:
             changed = np.ones(picture.shape[:2], np.bool_)
         else:
-            changed = (picture != self._previous).any(axis=2)
-        top, bottom = _extent(changed.any(axis=1))
-        left, right = _extent(changed.any(axis=0))
+            changed = np.any(picture != self._previous, axis=2)
+        top, bottom = _extent(changed, axis=0)
+        left, right = _extent(changed, axis=1)
         part = _with_palette(picture[top:bottom, left:right], changed[top:bottom, left:right])
         data = getdata(
             part,
@@ -290,9 +290,9 @@ def _gif_header(size: tuple[int, int]) -> bytes:
     return screen + b"\x21\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00"
 
 
-def _extent(is_used: NDArray[np.bool_]) -> tuple[int, int]:
-    """The first row or column that is used, and the one behind the last; (0, 1) without any."""
-    used = np.flatnonzero(is_used)
+def _extent(changed: NDArray[np.bool_], axis: int) -> tuple[int, int]:
+    """The first row or column that changed, and the one behind the last; (0, 1) without any."""
+    used = np.flatnonzero(np.any(changed, axis=1 - axis))
     if not len(used):
         return 0, 1  # a picture has at least one pixel
     return int(used[0]), int(used[-1]) + 1

@@ -14,7 +14,6 @@ from embodichain.lab.sim.cfg import RigidObjectCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.geoms.contact_parameters import given_parameters
 from embodichain.lab.sim.compiler.geoms.poses import initial_pose
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
-from embodichain.lab.sim.compiler.marks import HALO
 from embodichain.lab.sim.compiler.model_size import reported
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid
 from embodichain.lab.sim.compiler.robot.files.initial_state import Keyframe
@@ -50,6 +49,7 @@ from embodichain.lab.sim.compiler.sensing.scene_sensors import (
 from embodichain.lab.sim.compiler.sensing.sensor_index import SensorIndex
 from embodichain.lab.sim.compiler.sensing.views import add_views, place_views, scene_bounds
 from embodichain.lab.sim.configs.scene_cfg import GroundCfg
+from embodichain.lab.sim.drawing.marks import HALO
 from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_rotate

@@ -14,9 +14,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.marks import marks_of
 from embodichain.lab.sim.drawing.gl import VARIABLE, hint
-from embodichain.lab.sim.drawing.marks import MarkedState
+from embodichain.lab.sim.drawing.marks import MarkedState, marks_of
 from embodichain.lab.sim.drawing.renderer_register import RENDERERS
 from embodichain.lab.sim.drawing.thread import render_thread
 from embodichain.lab.sim.drawing.views import (

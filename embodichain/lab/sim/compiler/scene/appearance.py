@@ -291,14 +291,14 @@ def add_lights(
 ) -> None:
     """Add the declared lights; if there are none in the scene, a sun of a strength."""
     if not lights and not spec.lights:
-        strength = 1.0 if sun is None else float(sun)
+        brightness = 1.0 if sun is None else float(sun)
         spec.worldbody.add_light(
             name=SUN,
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
             pos=[0.0, 0.0, 6.0],
             dir=[-0.35, 0.45, -1.0],
-            diffuse=[strength * share for share in (0.62, 0.61, 0.58)],
-            specular=3 * [0.2 * strength],
+            diffuse=[brightness * share for share in (0.62, 0.61, 0.58)],
+            specular=3 * [0.2 * brightness],
             castshadow=True,
         )
     for uid, cfg in lights.items():

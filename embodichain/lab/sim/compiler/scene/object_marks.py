@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import mujoco
 
 from embodichain.lab.sim.cfg import HaloCfg, ReachedCfg, RigidObjectCfg
-from embodichain.lab.sim.compiler.marks import HALO, MARK_PREFIX, Mark, Reached
 from embodichain.lab.sim.compiler.names import Known, KnownObject
 from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.scene.known import find_place
+from embodichain.lab.sim.drawing.marks import HALO, MARK_PREFIX, Mark, Reached
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 

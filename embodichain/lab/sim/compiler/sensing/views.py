@@ -289,8 +289,9 @@ def _stand_back(points: F64, axes: F64, slope: float, target: Sequence[float] | 
     """Return the camera position (3,) from which points (n, 3) just fill the picture.
 
     `slope` is that of the picture's upper side over the distance. With slope t of a side of the
-    view, a camera at (a, c) in the plane of one axis and the view shows a point (x, z) if |x - a| <= t (c - z), so t c + a >= max(x + t z) = high and
-    t c - a >= max(t z - x) = low. The nearest camera has a = (high - low) / 2; `target` fixes a.
+    view, a camera at (a, c) in the plane of one axis and the view shows a point (x, z) if
+    |x - a| <= t (c - z), so t c + a >= max(x + t z) = high and t c - a >= max(t z - x) = low. The
+    nearest camera has a = (high - low) / 2; `target` fixes a.
     """
     local = points @ axes
     aim = None if target is None else np.asarray(target, np.float64) @ axes
