@@ -240,9 +240,10 @@ def robot_sheet(names: Mapping[str, str], size: tuple[int, int] = ROBOT_SIZE) ->
 
 
 def _draw_task(task: str, file: Path, size: tuple[int, int]) -> None:
-    """Write a picture of a task into a file."""
+    """Write a picture of a task without a scene of its own into a file, in the shipped room."""
     width, height = size
-    command = [f"task={task}", str(file), "--size", f"{width}x{height}", "seed=1"]
+    room = "+scene@task.scene=studio"
+    command = [f"task={task}", str(file), "--size", f"{width}x{height}", "seed=1", room]
     if main(["render", *command, "--quiet"]):
         raise RuntimeError(f"{task} cannot be drawn")
 
