@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 import embodichain
+from embodichain.data.pretrained import pretrained_tasks
 from scripts import gallery
 from scripts.gallery import BAR, COLUMNS, PICTURE, SIZE, TASKS, sheet
 from tests.data.robot_catalog import LOADABLE
@@ -19,16 +20,34 @@ def test_the_picture_has_a_place_for_every_task() -> None:
     assert (width, height) == (SIZE[0] * COLUMNS, (SIZE[1] + BAR) * rows), written
 
 
+def test_every_task_has_a_moment_in_action() -> None:
+    assert set(gallery.MOMENTS) == set(TASKS)
+    trained = {task for task, moment in gallery.MOMENTS.items() if moment.policy == "pretrained"}
+    assert trained == set(pretrained_tasks())
+
+
 def test_tasks_are_drawn_below_their_names() -> None:
     found = np.asarray(sheet(["cart_pole", "reach"], (96, 64)))
     assert found.shape == (64 + BAR, 2 * 96, 3)
     for i, task in enumerate(("cart_pole", "reach")):
         place = found[:, 96 * i : 96 * (i + 1)]
         assert (place[:BAR] < 128).any() and (place[:BAR] == 255).any()  # black on white
-        env = embodichain.make(task, num_envs=1, seed=1)
+        env = embodichain.make(task, num_envs=1, seed=gallery.MOMENTS[task].seed)
         env.reset()
-        np.testing.assert_array_equal(place[BAR:], env.sim.render(0, "default", 96, 64))
+        at_rest = env.sim.render(0, "default", 96, 64)
         env.close()
+        difference = np.abs(place[BAR:].astype(int) - at_rest).max(axis=2)
+        assert 0.003 < (difference > 20).mean() < 0.4  # something has moved, in the same room
+
+
+def test_the_film_shows_policies_that_ship() -> None:
+    assert set(gallery.FILMED) <= set(pretrained_tasks())
+    width, height = gallery.FILM_SIZE
+    rows = -(-len(gallery.FILMED) // gallery.FILM_COLUMNS)
+    with Image.open(gallery.FILM) as film:
+        assert film.size == (width * gallery.FILM_COLUMNS, height * rows)
+        assert film.n_frames == round(gallery.FILM_SECONDS * gallery.FILM_RATE)
+    assert gallery.FILM.stat().st_size < 3_000_000  # a README is read on phones, too
 
 
 def test_the_picture_of_robots_has_a_place_for_every_folder() -> None:

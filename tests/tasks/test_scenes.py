@@ -100,7 +100,7 @@ def test_show_lists_surroundings_lights_and_views(capsys):
     assert main(["show", "task=lift_cube", "+task.scene.table={}", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     surroundings = {row["what"]: row["params"] for row in told["surroundings"]}
-    assert set(surroundings) == {"ground", "sky", "table"} and "wood" in surroundings["ground"]
+    assert set(surroundings) == {"ground", "sky", "table"} and "grid" in surroundings["ground"]
     assert [light["light"] for light in told["lights"]] == ["default"]
     views = {row["camera"]: row for row in told["cameras"]}
     assert {"default", "front", "top", "hand"} <= set(views)

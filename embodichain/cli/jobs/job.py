@@ -242,11 +242,14 @@ class Job:
             return {}
         from embodichain.config.keys.schema import VideoCfg
         from embodichain.recording.film.filming import film_log
+        from embodichain.utils.system.video import GIF, film_suffix
 
         cfg = self.root.video
         if not isinstance(cfg, VideoCfg):  # video=true
             cfg = VideoCfg()
-        out = self.folder / f"{VIDEO}.{cfg.format}"
+        out = self.folder / f"{VIDEO}{film_suffix(cfg.format)}"
+        if cfg.format is None and out.suffix == GIF:
+            _log.info("the film is a GIF; for MP4: pip install 'embodichain[video]'")
         with ProgressDisplay("film", None, "pictures", quiet=self.quiet) as display:
             filmed = film_log(
                 log,
@@ -526,10 +529,11 @@ def _checks_of_extras(root: RootCfg) -> Iterator[Callable[[], None]]:
         images = None  # nothing takes them
     keys_that_draw = []
     if root.video:
-        from embodichain.utils.system.video import need_encoder
+        from embodichain.utils.system.video import film_suffix, need_encoder
 
         keys_that_draw.append("video")
-        yield partial(need_encoder, f".{getattr(root.video, 'format', 'mp4')}")
+        suffix = film_suffix(getattr(root.video, "format", None))
+        yield partial(need_encoder, suffix)
     if images is not None:
         keys_that_draw.append("record.images")
         if images.format == "h264":

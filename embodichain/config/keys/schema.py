@@ -170,9 +170,9 @@ class VideoCfg:
     a second."""
     max_seconds: Annotated[float, Field(gt=0)] | None = None
     """Length of the film; null is the whole log."""
-    format: Literal["mp4", "gif"] = "mp4"
-    """Kind of the file; mp4 needs the extra `video`, gif has 256 colours and at most 25 pictures a
-    second."""
+    format: Literal["mp4", "gif"] | None = None
+    """Kind of the file; null is mp4 where the extra `video` is installed, else gif, which has at
+    most 25 pictures a second."""
 
 
 @configclass

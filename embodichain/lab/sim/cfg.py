@@ -21,9 +21,12 @@ from embodichain.lab.sim.configs.physics_cfg import GPUMemoryCfg, PhysicsCfg, Re
 from embodichain.lab.sim.configs.robot_names_cfg import GripperCfg, HomeCfg
 from embodichain.lab.sim.configs.scene_cfg import (
     Four,
+    Length,
     LightCfg,
     ObjectBaseCfg,
+    Point,
     Quat,
+    Rgb,
     Scale,
     SceneCfg,
     Vec3,
@@ -397,6 +400,36 @@ class RobotCfg(ArticulationCfg):
 
 
 @configclass
+class HaloCfg:
+    """A translucent sphere around an object, in pictures and films for people.
+
+    Nothing touches or measures it; cameras whose images are observations do not see it.
+    """
+
+    radius: Length
+    """Metres."""
+    color: Rgb | None = None
+    """RGB in [0, 1]; None is the object's."""
+
+
+@configclass
+class ReachedCfg:
+    """An object has another colour while something is near, in pictures and films for people.
+
+    Cameras whose images are observations see the object as it is.
+    """
+
+    by: str
+    """What has to be near: an entity, or a link, site or geom of one, ``UID/NAME``."""
+    within: Length
+    """Metres: the largest distance."""
+    offset: Point = (0.0, 0.0, 0.0)
+    """Metres: the point of the object that it is measured from, in the object's frame."""
+    color: Rgb = (0.15, 0.75, 0.3)
+    """RGB in [0, 1]."""
+
+
+@configclass
 class RigidObjectCfg(ObjectBaseCfg):
     """One rigid body with one shape, or in each environment one of several."""
 
@@ -427,6 +460,10 @@ class RigidObjectCfg(ObjectBaseCfg):
     sites: dict[str, SiteCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     """Name -> a place on the object, for references and experts: ``UID/NAME``. Relations put things
     `in` the box of the site ``inside``, and `on` that of ``top``, if there is one."""
+    halo: HaloCfg | None = dataclasses.field(default=None, kw_only=True)
+    """What lets a small goal be seen in pictures."""
+    reached: ReachedCfg | None = dataclasses.field(default=None, kw_only=True)
+    """When it has another colour in pictures: as a rule, when the task is solved."""
 
 
 @configclass

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
-from embodichain.lab.sim.drawing.views import View, Viewpoint
+from embodichain.lab.sim.drawing.views import Viewpoint
 from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.read.api import Log
 from embodichain.recording.read.playback import Playback, Span, Stretch
@@ -140,7 +140,7 @@ def film_log(
         RenderError: If no OpenGL library works here.
     """
     out = Path(out)
-    need_encoder(out.suffix)
+    need_encoder(out.suffix, instead=f"{out.stem}.gif")
     stretch = Stretch(env, episode, first, last)
     style = FilmStyle(speed, size, camera=camera, every=every, max_seconds=max_seconds)
     if os.path.lexists(out):
@@ -163,7 +163,7 @@ def _film(
     is_stopped = stop or (lambda: False)
     span = stretch.span_in(log)
     playback = Playback(log, stretch.env)
-    camera = FilmCamera(_camera_or_viewpoint(log, style.camera), style.size)
+    camera = _camera_of(log, style)
     every = style.steps_per_picture(log.dt, is_gif=out.suffix == GIF)
     frame_rate = style.speed / log.dt / every
     total = _count_pictures(
@@ -202,15 +202,20 @@ def _count_pictures(
     return int(min(most, math.ceil(steps / every)))
 
 
-def _camera_or_viewpoint(log: Log, camera: str | None) -> str | Viewpoint | View:
-    """The camera or viewpoint to render.
+def _camera_of(log: Log, style: FilmStyle) -> FilmCamera:
+    """The camera that films; one of a sensor in the look of films.
 
     Raises:
         ConfigError: If there is no such camera.
     """
+    name = style.camera
+    camera = _default_camera(log) if name is None else cameras_of(log, [name])[name].camera
+    return FilmCamera(camera, style.size, marks=True)
+
+
+def _default_camera(log: Log) -> str | Viewpoint:
+    """The camera ``default``, or a front view."""
     model = log.model
-    if camera is not None:
-        return cameras_of(log, [camera])[camera].camera
     if _DEFAULT_CAMERA in [model.camera(i).name for i in range(model.ncam)]:
         return _DEFAULT_CAMERA
     center = np.asarray(model.stat.center)

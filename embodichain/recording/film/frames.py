@@ -38,6 +38,7 @@ class FilmCamera(NamedTuple):
         look: ``fast`` or ``full``.
         near: Metres along the axis; None is the scene's.
         far: Likewise.
+        marks: Whether it shows the halos of objects and what is reached, for people.
     """
 
     camera: str | Viewpoint | View
@@ -45,6 +46,7 @@ class FilmCamera(NamedTuple):
     look: Look = "full"
     near: float | None = None
     far: float | None = None
+    marks: bool = False
 
 
 class Placed(NamedTuple):
@@ -147,6 +149,7 @@ def _view(states: StoredStates, camera: FilmCamera) -> View:
         near=camera.near,
         far=camera.far,
         look=camera.look,
+        marks=camera.marks,
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import importlib.util
 import os
+import struct
 import subprocess
 import tempfile
 from abc import ABC, abstractmethod
@@ -26,9 +27,27 @@ from embodichain.utils.system.atomic import remove_abandoned, temporary_name
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["GIF", "Film", "GifFile", "VideoFile", "film_file", "need_encoder"]
+__all__ = [
+    "GIF",
+    "Film",
+    "GifFile",
+    "VideoFile",
+    "film_file",
+    "film_suffix",
+    "has_encoder",
+    "need_encoder",
+]
 
 GIF = ".gif"
+_UNCHANGED = 255
+"""Index of a GIF's pixel that stays as it was: the palette has 255 colours before it."""
+_MOST_COLORS = 8192
+"""Colours that are looked at one by one; of more, one in each cell of 4 x 4 x 4 levels."""
+_CELL = np.uint32(0xFCFCFC)
+_FREQUENCY_POWER = 0.25
+"""How much the number of pixels of a colour counts."""
+_KEEP = 1
+"""What is drawn stays until it is drawn over."""
 _QUALITY = "25"
 """Constant rate factor of x264: 0 is lossless, 51 the worst."""
 _COLORS = (
@@ -38,17 +57,32 @@ _COLORS = (
 """sRGB, and FFmpeg's conversion to YUV. Unnamed, players assume another one from 720 lines on."""
 
 
-def need_encoder(suffix: str = ".mp4") -> None:
+def has_encoder() -> bool:
+    """Whether MP4 can be written: the extra `video` is installed."""
+    return importlib.util.find_spec("imageio_ffmpeg") is not None
+
+
+def film_suffix(kind: str | None) -> str:
+    """The suffix of a film of a kind, ``mp4`` or ``gif``; None is MP4 if it can be written."""
+    if kind is None:
+        return ".mp4" if has_encoder() else GIF
+    return f".{kind}"
+
+
+def need_encoder(suffix: str = ".mp4", instead: str = "") -> None:
     """Check that the encoder is installed.
 
     Args:
         suffix: Of the file; a GIF needs none.
+        instead: What else the user can do, for the hint.
 
     Raises:
         ConfigError: If it is not; names the extra.
     """
-    if suffix != GIF and importlib.util.find_spec("imageio_ffmpeg") is None:
+    if suffix != GIF and not has_encoder():
         hint = "pip install 'embodichain[video]'"
+        if instead:
+            hint += f", or {instead}"
         raise ConfigError([Problem("", "videos need the package imageio-ffmpeg", hint)])
 
 
@@ -192,46 +226,119 @@ class VideoFile(Film):
 
 
 class GifFile(Film):
-    """One GIF that repeats, with the 256 colours of its first picture.
+    """One GIF that repeats; each picture has a palette of its own, and is dithered.
 
-    All pictures are in memory until it is closed, a byte a pixel.
+    A picture holds only what changed since the one before, so what stands still costs nothing.
 
     Args:
         path: As of `Film`.
+        size: Width and height in pixels.
         fps: Frames per second; a frame lasts a multiple of 10 ms.
     """
 
-    def __init__(self, path: Path, fps: float) -> None:
+    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
         super().__init__(path)
         self._fps = fps
-        self._pictures: list[Image] = []
+        self._count = 0
+        self._previous: NDArray[np.uint8] | None = None
+        self._stream = self._part.open("wb")
+        self._stream.write(_gif_header(size))
 
     def write(self, picture: NDArray[np.uint8]) -> None:
         """Append an RGB frame, (height, width, 3)."""
-        from PIL import Image
+        from PIL.GifImagePlugin import getdata
 
-        image = Image.fromarray(picture)
-        if self._pictures:
-            none = Image.Dither.NONE
-            self._pictures.append(image.quantize(palette=self._pictures[0], dither=none))
+        if self._previous is None:
+            changed = np.ones(picture.shape[:2], np.bool_)
         else:
-            self._pictures.append(image.quantize(256, method=Image.Quantize.MEDIANCUT))
+            changed = np.any(picture != self._previous, axis=2)
+        top, bottom = _extent(changed, axis=0)
+        left, right = _extent(changed, axis=1)
+        part = _with_palette(picture[top:bottom, left:right], changed[top:bottom, left:right])
+        data = getdata(
+            part,
+            offset=(left, top),
+            include_color_table=True,
+            duration=self._duration(),
+            transparency=_UNCHANGED,
+            disposal=_KEEP,
+        )
+        self._stream.writelines(data)
+        self._previous = picture.copy()
+        self._count += 1
 
     def discard(self) -> None:
-        """Forget the pictures: nothing was written yet."""
-        self._pictures.clear()
+        """Remove the file."""
+        self._stream.close()
+        self._part.unlink(missing_ok=True)
+
+    def _duration(self) -> int:
+        """Milliseconds of the next picture: rounded ends, so that the film as a whole is exact."""
+        start = round(self._count * 100.0 / self._fps)
+        end = round((self._count + 1) * 100.0 / self._fps)
+        return 10 * (end - start)
 
     def _end(self) -> None:
-        ends = np.round(np.arange(len(self._pictures) + 1) * 100.0 / self._fps) * 10.0
-        first, *others = self._pictures
-        with self._part.open("wb") as stream:
-            first.save(
-                *(stream, "GIF"),
-                save_all=True,
-                append_images=others,
-                duration=[int(d) for d in np.diff(ends)],
-                loop=0,
-            )
+        with self._stream:
+            self._stream.write(b";")
+
+
+def _gif_header(size: tuple[int, int]) -> bytes:
+    """The first bytes of a GIF without a palette for all pictures, which repeats for ever."""
+    width, height = size
+    screen = struct.pack("<6sHHBBB", b"GIF89a", width, height, 0x70, 0, 0)
+    return screen + b"\x21\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00"
+
+
+def _extent(changed: NDArray[np.bool_], axis: int) -> tuple[int, int]:
+    """The first row or column that changed, and the one behind the last; (0, 1) without any."""
+    used = np.flatnonzero(np.any(changed, axis=1 - axis))
+    if not len(used):
+        return 0, 1  # a picture has at least one pixel
+    return int(used[0]), int(used[-1]) + 1
+
+
+def _with_palette(picture: NDArray[np.uint8], changed: NDArray[np.bool_]) -> Image:
+    """A picture with its own 255 colours; pixels that did not change are transparent."""
+    from PIL import Image
+
+    colors = _palette_of(picture)
+    count = len(colors)
+    entries = [*colors.tobytes(), *(256 - count) * colors[0].tobytes()]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(entries)
+    dithered = Image.fromarray(np.ascontiguousarray(picture)).quantize(
+        palette=palette, dither=Image.Dither.FLOYDSTEINBERG
+    )
+    indices = np.array(dithered)
+    indices[indices >= count] = 0  # the rest of the palette repeats the first colour
+    indices[~changed] = _UNCHANGED
+    part = Image.fromarray(indices, mode="P")
+    part.putpalette(entries)
+    return part
+
+
+def _palette_of(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(n, 3) at most 255 colours of a picture, such that each of its pixels is near to one.
+
+    Each is the farthest one from those before it. Far counts much and frequent little: a small red
+    cube in front of a brown wall keeps its red.
+    """
+    red, green, blue = picture.reshape(-1, 3).astype(np.uint32).T
+    codes, counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)
+    if len(codes) > _MOST_COLORS:
+        _, first, cell = np.unique(codes & _CELL, return_index=True, return_inverse=True)
+        counts = np.bincount(cell, weights=counts)
+        codes = codes[first]
+    colors = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=1).astype(np.float32)
+    weights = counts**_FREQUENCY_POWER
+    chosen = [int(np.argmax(counts))]
+    squares = np.full(len(colors), np.inf, np.float32)
+    for _ in range(min(_UNCHANGED, len(colors)) - 1):
+        offsets = colors - colors[chosen[-1]]
+        squares = np.minimum(squares, np.einsum("ij,ij->i", offsets, offsets))
+        chosen.append(int(np.argmax(weights * squares)))
+    return colors[chosen].astype(np.uint8)
 
 
 def film_file(path: Path, size: tuple[int, int], fps: float) -> Film:
@@ -242,4 +349,6 @@ def film_file(path: Path, size: tuple[int, int], fps: float) -> Film:
         size: Width and height in pixels, both even.
         fps: Frames per second.
     """
-    return GifFile(path, fps) if path.suffix == GIF else VideoFile(path, size, fps)
+    if path.suffix == GIF:
+        return GifFile(path, size, fps)
+    return VideoFile(path, size, fps)

@@ -1,6 +1,8 @@
 """`video`: a film of a run, its settings, and what is said about it meanwhile."""
 
+import importlib.util
 import json
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +45,26 @@ def test_a_gif_is_a_film_too_and_is_in_the_report(tmp_path: Path, capsys) -> Non
     assert main(["report", str(folder), "--quiet"]) == 0
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert '<img src="data:image/gif;base64,' in page and "<video" not in page
+
+
+def test_a_plain_installation_makes_a_gif(tmp_path: Path, capsys, monkeypatch) -> None:
+    """`video=true` needs no extra; a format that needs one is refused by name."""
+    find_spec = importlib.util.find_spec
+
+    def without_encoder(name: str) -> ModuleSpec | None:
+        return None if name == "imageio_ffmpeg" else find_spec(name)
+
+    monkeypatch.setattr(importlib.util, "find_spec", without_encoder)
+    where = f"output_dir={tmp_path}"
+    assert main(["run", *TINY, "max_steps=3", "video=true", "--json", where]) == 0
+    film = Path(json.loads(capsys.readouterr().out)["video"])
+    with Image.open(film) as gif:
+        assert (film.name, gif.size, gif.n_frames) == ("rollout.gif", (640, 480), 2)
+    assert "embodichain[video]" in (film.parent / "run.log").read_text(encoding="utf-8")
+    assert main(["run", *TINY, "video.format=mp4", where]) == 2
+    assert "imageio-ffmpeg" in capsys.readouterr().err
+    assert main(["replay", str(film.parent), "--video", str(tmp_path / "a.mp4")]) == 2
+    assert "or a.gif" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize(

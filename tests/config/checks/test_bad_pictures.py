@@ -161,7 +161,8 @@ CAMERAS = {
 SCENES = {
     "ground": (
         "scene: {ground: {type: tiles}}",
-        "scene.ground.type: expected one of 'checker', 'wood', 'plain', 'none', got 'tiles'",
+        "scene.ground.type: expected one of 'checker', 'grid', 'wood', 'plain', 'none', "
+        "got 'tiles'",
     ),
     "too red": (
         "scene: {ground: {colors: [[2, 0, 0]]}}",
@@ -213,7 +214,7 @@ SCENES = {
     "unknown key": (
         "scene: {grund: {}}",
         "scene.grund: unknown key; allowed: fpath, keyframe, ground, terrain, sky, ambient, "
-        "headlight, lights, table, pedestal. Did you mean 'ground'?",
+        "headlight, sun, lights, table, pedestal. Did you mean 'ground'?",
     ),
     "view of no place": (
         "views: {a: {fovy: 30}}",
@@ -222,6 +223,14 @@ SCENES = {
     "view of two places": (
         "views: {a: {eye: [0, 0, 1], direction: [1, 0, 0]}}",
         "views.a: needs one of eye, direction, camera, got eye and direction",
+    ),
+    "view of something, from a point": (
+        "views: {a: {eye: [0, 0, 1], show: [arm]}}",
+        "views.a.show: needs direction: only then the distance is computed",
+    ),
+    "view of nothing": (
+        "views: {a: {direction: [0, 1, 1], show: [arn]}}",
+        "views.a.show.0: no entity is called 'arn'; there are: arm. Did you mean 'arm'?",
     ),
     "view into itself": (
         "views: {a: {eye: [0, 0, 1], target: [0, 0, 1]}}",

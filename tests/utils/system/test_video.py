@@ -3,6 +3,7 @@
 import importlib.util
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,6 +42,84 @@ def test_a_gif_has_the_pictures_for_as_long_as_they_last(tmp_path):
             assert np.abs(np.asarray(gif.convert("RGB")).astype(int) - expected).max() < 12
     assert seconds == pytest.approx(6 / 30, abs=0.005)  # 30, 40, 30 ms, ...
     assert [p.name for p in path.parent.iterdir()] == ["film.gif"]
+
+
+def arm_in_front_of_a_wall(frame: int) -> np.ndarray:
+    """(480, 640, 3) a picture of many browns and greys, and a small red square that moves."""
+    picture = np.empty((480, 640, 3), np.uint8)
+    across = np.linspace(0.0, 1.0, 640)
+    down = np.linspace(0.0, 1.0, 480)[:, None]
+    picture[..., 0] = 110 + 90 * across
+    picture[..., 1] = 80 + 90 * down
+    picture[..., 2] = 70 + 60 * across * down
+    left = 300 + 10 * frame
+    picture[230:252, left : left + 22] = RED
+    return picture
+
+
+RED = (217, 76, 25)
+
+
+def read_with_ffmpeg(path: Path) -> np.ndarray:
+    """(frames, 480, 640, 3) the pictures of a film."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+    command = [ffmpeg, "-v", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    raw = subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout
+    return np.frombuffer(raw, np.uint8).reshape(-1, 480, 640, 3)
+
+
+def test_what_is_small_and_red_in_a_gif_is_red(tmp_path):
+    """With one palette by number of pixels, it was brown."""
+    path = tmp_path / "film.gif"
+    with film_file(path, (640, 480), 25.0) as film:
+        for frame in range(5):
+            film.write(arm_in_front_of_a_wall(frame))
+    for frame, shown in enumerate(read_with_ffmpeg(path)):
+        expected = arm_in_front_of_a_wall(frame).astype(int)
+        is_red = (expected == RED).all(axis=2)
+        assert is_red.sum() == 22 * 22
+        assert np.abs(shown[is_red].astype(int) - RED).max(axis=1).mean() < 4
+        # Dithered: of 8 x 8 pixels, the mean is closer than the pixels are.
+        error = shown - expected
+        of_blocks = error.reshape(60, 8, 80, 8, 3).mean(axis=(1, 3))
+        assert np.abs(of_blocks).mean() < 0.6 * np.abs(error).mean() < 3
+
+
+def test_each_picture_of_a_gif_has_its_palette(tmp_path):
+    path = tmp_path / "film.gif"
+    with film_file(path, (640, 480), 25.0) as film:
+        for frame in range(5):
+            film.write(np.roll(arm_in_front_of_a_wall(0), 40 * frame, axis=(1, 2)))
+    shown = read_with_ffmpeg(path)
+    assert len(shown) == 5
+    for picture in shown:
+        assert 200 <= len(np.unique(picture.reshape(-1, 3), axis=0)) <= 256
+    with Image.open(path) as gif:
+        assert gif.size == (640, 480)
+        assert gif.global_palette is None
+    assert path.stat().st_size < 900_000
+
+
+def test_few_and_dark_colours_are_no_holes(tmp_path):
+    """What a picture does not draw is transparent; black is drawn."""
+    path = tmp_path / "film.gif"
+    levels = (200, 3, 0, 90, 0)
+    with film_file(path, (640, 480), 25.0) as film:
+        for level in levels:
+            film.write(np.full((480, 640, 3), level, np.uint8))
+    for picture, level in zip(read_with_ffmpeg(path), levels, strict=True):
+        assert (picture == level).all()
+
+
+def test_what_does_not_move_costs_nothing(tmp_path):
+    sizes = []
+    for frames in (1, 11):
+        path = tmp_path / f"film_{frames}.gif"
+        with film_file(path, (640, 480), 25.0) as film:
+            for _ in range(frames):
+                film.write(arm_in_front_of_a_wall(3))
+        sizes.append(path.stat().st_size)
+    assert sizes[1] - sizes[0] < 10 * 1000
 
 
 def test_no_file_is_replaced_and_nothing_is_left_of_one_that_failed(tmp_path):

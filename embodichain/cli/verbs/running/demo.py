@@ -5,7 +5,6 @@ The policy is the trained one that ships for the task, else the task's expert.
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 import time
 import webbrowser
@@ -31,7 +30,7 @@ _TASK = "pick_place"
 _SEED = "1"
 _DEFAULTS = {"num_envs": "1", "seed": _SEED}
 _PAGE_DEFAULTS = {"viewer": "web", "record": "none", "scene_png": "false", "episodes": "100"}
-_FILM_DEFAULTS = {"video.size": "[400,300]", "scene_png": "false", "episodes": "1"}
+_FILM_DEFAULTS = {"video": "true", "scene_png": "false", "episodes": "1"}
 _BROWSER_TIMEOUT_S = 5.0
 """Seconds without a browser after which the page is closed."""
 _POLL_S = 0.05
@@ -89,8 +88,6 @@ def command(options: DemoOptions) -> None:
         work = _Page(opens_browser=display)
     else:
         defaults |= _FILM_DEFAULTS
-        has_encoder = importlib.util.find_spec("imageio_ffmpeg") is not None
-        defaults["video.format"] = "mp4" if has_encoder else "gif"
         work = run_job
     lines += [f"{key}={value}" for key, value in defaults.items() if key not in typed_keys]
     resolved = resolve([*lines, *output_overrides(options)], "run")

@@ -15,7 +15,7 @@ from embodichain.lab.sim.compiler.geoms.contact_parameters import given_paramete
 from embodichain.lab.sim.compiler.geoms.poses import initial_pose
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
 from embodichain.lab.sim.compiler.model_size import reported
-from embodichain.lab.sim.compiler.names import GROUND, check_uid
+from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid
 from embodichain.lab.sim.compiler.robot.files.initial_state import Keyframe
 from embodichain.lab.sim.compiler.robot.files.robot_files import (
     MUJOCO_ERRORS,
@@ -49,6 +49,7 @@ from embodichain.lab.sim.compiler.sensing.scene_sensors import (
 from embodichain.lab.sim.compiler.sensing.sensor_index import SensorIndex
 from embodichain.lab.sim.compiler.sensing.views import add_views, place_views, scene_bounds
 from embodichain.lab.sim.configs.scene_cfg import GroundCfg
+from embodichain.lab.sim.drawing.marks import HALO
 from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_rotate
@@ -119,13 +120,15 @@ def compile_scene(parts: SceneParts) -> CompiledScene:
     apply_options(spec, sim_cfg)
     notes = _add_world(spec, parts.world)
     set_look(spec, sim_cfg.scene)
-    add_lights(spec, parts.lights)
+    add_lights(spec, parts.lights, sim_cfg.scene.sun)
     for parsed in parts.articulations:
         notes += _attach(spec, parsed.spec.copy(), parsed)
     terrain = _add_ground(spec, sim_cfg)
     notes += _bind_floors(spec, sim_cfg, parts.articulations, parts.world)
     _add_objects(spec, parts)
-    _add_views(spec, parts)
+    known = _known(parts)
+    _add_views(spec, parts, known)
+    _add_marks(spec, parts, known)
     for plan in parts.sensors.values():
         add_sensor(spec, plan)
 
@@ -214,19 +217,31 @@ def _add_objects(spec: mujoco.MjSpec, parts: SceneParts) -> None:
         finish_table(spec, table)
 
 
-def _add_views(spec: mujoco.MjSpec, parts: SceneParts) -> None:
-    """Add the cameras of views, once all that they may follow is there."""
-    roots = {parsed.uid: f"{parsed.uid}/{parsed.root_link_name}" for parsed in parts.articulations}
-    if parts.world is not None:
-        roots |= {uid: f"{PREFIX}{uid}" for uid in parts.world.objects}
-    known = known_entities(
+def _known(parts: SceneParts) -> Known:
+    """Return what views and marks may refer to."""
+    return known_entities(
         {parsed.uid: parsed for parsed in parts.articulations},
         parts.objects,
         parts.lights,
         parts.world,
         parts.sim_cfg.scene.table,
     )
+
+
+def _add_views(spec: mujoco.MjSpec, parts: SceneParts, known: Known) -> None:
+    """Add the cameras of views, once all that they may follow is there."""
+    roots = {parsed.uid: f"{parsed.uid}/{parsed.root_link_name}" for parsed in parts.articulations}
+    if parts.world is not None:
+        roots |= {uid: f"{PREFIX}{uid}" for uid in parts.world.objects}
     add_views(spec, parts.sim_cfg.views, roots, known)
+
+
+def _add_marks(spec: mujoco.MjSpec, parts: SceneParts, known: Known) -> None:
+    """Add the marks of objects, if they have any."""
+    if any(cfg.halo or cfg.reached for cfg in parts.objects.values()):
+        from embodichain.lab.sim.compiler.scene.object_marks import add_marks  # few scenes have any
+
+        add_marks(spec, parts.objects, known)
 
 
 def _compile(spec: mujoco.MjSpec, objects: Mapping[str, RigidObjectCfg]) -> mujoco.MjModel:
@@ -420,6 +435,8 @@ def _index_object(
     pos, quat = initial_pose(cfg)
     joint = int(model.body_jntadr[body])
     geoms: Ids = np.flatnonzero(model.geom_bodyid == body).astype(np.int64)
+    if cfg.halo is not None:
+        geoms = geoms[geoms != model.geom(f"{uid}/{HALO}").id]  # it is in pictures only
     variants = None
     if cfg.any_of:
         from embodichain.lab.sim.compiler.scene.variants import (

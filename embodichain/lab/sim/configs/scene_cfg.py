@@ -122,12 +122,14 @@ class GroundCfg(ContactCfg):
     a contact has the larger friction of the two; with ``priority: 1`` the ground decides.
     """
 
-    type: Literal["checker", "wood", "plain", "none"] = "checker"
+    type: Literal["checker", "grid", "wood", "plain", "none"] = "checker"
     """``none``: there is no ground, for collisions neither."""
     colors: Annotated[list[Rgb], Field(min_length=1, max_length=2)] | None = None
-    """RGB in [0, 1]: of both tiles, of light and dark wood; the first alone of ``plain``."""
+    """RGB in [0, 1]: of both tiles, of a grid's tiles and lines, of light and dark wood; the first
+    alone of ``plain``."""
     tile: Length = 1.0
-    """Metres: edge of a tile, length of a plank."""
+    """Metres: edge of a tile, length of a plank. A grid has finer lines at the fifths of a tile,
+    whose middle is at the origin."""
     size: Length | None = None
     """Metres: edge of the drawn square around the origin; None is endless, as collisions are."""
     reflectance: Share = 0.0
@@ -345,6 +347,9 @@ class SceneCfg:
     """Light from everywhere, 0 to 1; None is the file's, else 0.33."""
     headlight: Share | None = None
     """Light from the camera, 0 to 1; None is the file's, else 0.38."""
+    sun: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    """Strength of the sun that shines where there are no lights; None is 1. Less makes shadows
+    softer, with more of `ambient` instead."""
     lights: dict[str, LightCfg] = {}
     """As the task's section `lights`. If neither has any, nor the file, a sun shines."""
     table: TableCfg | None = None
@@ -363,6 +368,10 @@ class ViewCfg:
     """Metres."""
     direction: Annotated[Point, require("must not be zero, got {}", is_not_zero)] | None = None
     """From the scene to the camera, which is as far away as needed to show robots and objects."""
+    show: Annotated[list[str], Field(min_length=1)] | None = None
+    """With `direction`, the entities that fill the picture; None is all of them."""
+    margin: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
+    """With `direction`, the width of the picture over that of what it shows; None is 1.2."""
     camera: str | None = None
     """A camera of a robot's file, ``uid/NAME``, or of the scene's, ``scene/NAME``."""
     target: Point | None = None
@@ -390,6 +399,7 @@ class ViewCfg:
             problems = self._check_direction()
         else:
             problems = self._check_eye()
+        problems += self._check_show()
         if self.follow != "position" and self.body is None:
             problems.append(Problem("follow", "belongs to body: the view follows nothing"))
         return problems
@@ -400,6 +410,14 @@ class ViewCfg:
         keys = [name for name in ("target", "body") if getattr(self, name) is not None]
         if tuple(self.up) != ViewCfg.up:
             keys.append("up")
+        return [Problem(key, message) for key in keys]
+
+    def _check_show(self) -> list[Problem]:
+        """Only a camera whose distance is computed fills its picture with something."""
+        if self.direction is not None:
+            return []
+        message = "needs direction: only then the distance is computed"
+        keys = [name for name in ("show", "margin") if getattr(self, name) is not None]
         return [Problem(key, message) for key in keys]
 
     def _check_direction(self) -> list[Problem]:

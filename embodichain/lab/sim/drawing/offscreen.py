@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drawing.gl import VARIABLE, hint
+from embodichain.lab.sim.drawing.marks import MarkedState, marks_of
 from embodichain.lab.sim.drawing.renderer_register import RENDERERS
 from embodichain.lab.sim.drawing.thread import render_thread
 from embodichain.lab.sim.drawing.views import (
@@ -58,6 +59,7 @@ class OffscreenRenderer:
     def __init__(self, model: mujoco.MjModel) -> None:
         kinds = _kinds()
         self._thread = render_thread()
+        self._marks = marks_of(model)
         opened, self._better_failed = self._thread.call(partial(_open, model, kinds))
         self._renderer = opened.renderer
         self.kind = opened.kind
@@ -76,6 +78,24 @@ class OffscreenRenderer:
         # Poses are computed in this thread: an engine may have to recompute constants for them,
         # and calls its listeners then.
         state.derived("geom_xpos")
+        if not self._marks:
+            return self._draw_all(state, views, envs)
+        for_people = [view for view in views if view.marks]
+        plain = [view for view in views if not view.marks]
+        marked: list[Pictures] = []
+        unmarked: list[Pictures] = []
+        if for_people:
+            state.derived("xpos")
+            marked = self._draw_all(MarkedState(state, self._marks), for_people, envs)
+        if plain:
+            unmarked = self._draw_all(state, plain, envs)
+        drawn = {True: iter(marked), False: iter(unmarked)}
+        return [next(drawn[view.marks]) for view in views]
+
+    def _draw_all(
+        self, state: DrawnState, views: Sequence[View], envs: NDArray[np.int64] | None
+    ) -> list[Pictures]:
+        """Draw views of one state."""
         try:
             drawn = self._thread.call(partial(self._renderer.draw, state, views, envs))
         except RenderError as error:
@@ -117,7 +137,7 @@ class OffscreenRenderer:
             ValueError: If there is no such camera, or it is not a pinhole camera.
         """
         width, height = size
-        view = view_of(state, camera, width, height, look="full")
+        view = view_of(state, camera, width, height, look="full", marks=True)
         color: NDArray[np.uint8] = self.draw(state, [view], envs)[0]["color"]
         return np.ascontiguousarray(color[..., :3])
 

@@ -13,7 +13,10 @@ from embodichain.lab.sim.drawing.views import DrawnState
 
 __all__ = ["DRAWN_FIELDS", "DRAWN_POSES", "DataState", "StoredStates"]
 
-DRAWN_POSES = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir")
+DRAWN_POSES = (
+    *("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir"),
+    *("xpos", "xmat"),  # for marks
+)
 """Fields of MjData that pictures depend on."""
 DRAWN_FIELDS = (
     *sorted(f for f in MODEL_FIELDS if f.startswith(("geom_", "mat_", "light_"))),

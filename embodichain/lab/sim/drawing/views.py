@@ -97,6 +97,7 @@ class View:
         outputs: Of ``color``, ``depth``, ``mask``.
         look: ``fast`` or ``full``.
         centre: (N, 2) cx, cy in pixels instead of those of `optics`, or None.
+        marks: Whether it shows the halos of objects and what is reached, for people.
     """
 
     optics: Optics
@@ -106,6 +107,7 @@ class View:
     outputs: tuple[Output, ...] = ("color",)
     look: Look = "fast"
     centre: NDArray[Any] | None = None
+    marks: bool = False
 
     @property
     def lens(self) -> NDArray[np.float64]:
@@ -273,6 +275,7 @@ def view_of(
     far: float | None = None,
     outputs: tuple[Output, ...] = ("color",),
     look: Look = "fast",
+    marks: bool = False,
 ) -> View:
     """The view of a camera of the scene, with each environment's pose and optics.
 
@@ -289,6 +292,7 @@ def view_of(
         far: Likewise; None is ``vis.map.zfar``.
         outputs: Of ``color``, ``depth``, ``mask``.
         look: ``fast`` or ``full``.
+        marks: Whether it shows the halos of objects and what is reached, for people.
 
     Raises:
         ValueError: If there is no such camera, or it is orthographic.
@@ -305,6 +309,7 @@ def view_of(
             axes=camera.axes,
             outputs=outputs,
             look=look,
+            marks=marks,
         )
     index = camera_id(model, camera)
     lens = lens_of(model, index, width, height, values=state.model_values)
@@ -326,4 +331,5 @@ def view_of(
         centre=centre if differs else None,
         outputs=outputs,
         look=look,
+        marks=marks,
     )

@@ -154,6 +154,7 @@ def describe(
     has_unread_file = bool(sim_cfg.scene.fpath and world is None)
     is_open = cfg.id is not None or has_unread_file
     problems += _check_views(sim_cfg, known, world, is_open)
+    problems += _check_marks(entities, known, is_open)
     problems += [p.below("physics") for p in check_options(sim_cfg.physics_config)]
     problems += check_references(cfg, known, open_scene=is_open)
     sensors: dict[str, SensorPlan] = {}
@@ -220,6 +221,23 @@ def _read_entities(
             mistakes = check_light(cfg)
         problems += [problem.below(entity.path) for problem in mistakes]
     return articulations, problems
+
+
+def _check_marks(entities: Sequence[DeclaredEntity], known: Known, is_open: bool) -> list[Problem]:
+    """Return every mistake in the marks of objects."""
+    paths = {e.uid: e.path for e in entities}
+    marked = {
+        e.uid: e.cfg
+        for e in entities
+        if isinstance(e.cfg, RigidObjectCfg) and (e.cfg.halo or e.cfg.reached)
+    }
+    if not marked:
+        return []
+    from embodichain.lab.sim.compiler.scene.object_marks import check_marks  # few scenes have any
+
+    is_incomplete = is_open or None in known.values()
+    mistakes = check_marks(marked, known, is_open=is_incomplete)
+    return [p.below(paths[uid]) for uid, problems in mistakes.items() for p in problems]
 
 
 def _check_views(

@@ -9,6 +9,7 @@ from functools import cache
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.geoms.contact_parameters import (
     check_fixed_contact,
@@ -49,6 +50,7 @@ _LIGHTS = {
 }
 _COLORS: dict[str, Sequence[Sequence[float]]] = {
     "checker": ((0.72, 0.74, 0.76), (0.66, 0.68, 0.71)),
+    "grid": ((0.62, 0.65, 0.69), (0.50, 0.53, 0.57)),
     "wood": ((0.76, 0.62, 0.46), (0.55, 0.40, 0.27)),
     "plain": ((0.70, 0.72, 0.74),),
 }
@@ -122,6 +124,12 @@ def add_ground(spec: mujoco.MjSpec, cfg: GroundCfg) -> None:
     material.texuniform = True
     if cfg.type == "plain":
         material.rgba = [*colors[0], 1.0]
+    elif cfg.type == "grid":
+        _add_grid(spec, colors[0], colors[-1])
+        material.textures[_RGB] = GROUND
+        material.texrepeat = 2 * [2.0 / float(cfg.tile)]  # a plane has one each 2 m at 1
+        material.specular = 0.1
+        material.shininess = 0.2
     elif cfg.type == "wood":
         add_wood(spec, GROUND, colors[0], colors[-1], planks=True)
         material.textures[_RGB] = GROUND
@@ -151,6 +159,48 @@ def add_ground(spec: mujoco.MjSpec, cfg: GroundCfg) -> None:
         material=GROUND,
     )
     set_contact_parameters([plane], fixed_contact(cfg))
+
+
+# --------------------------------------------------------------------------------------------- grid
+
+_GRID_PIXELS = 1000
+_GRID_CELLS = 5
+"""Cells of a tile, in each direction."""
+_GRID_EDGE = 6
+"""Pixels: width of the lines between tiles."""
+_GRID_LINE = 3
+"""Pixels: width of the lines between cells."""
+
+
+def _add_grid(spec: mujoco.MjSpec, tile: Sequence[float], line: Sequence[float]) -> None:
+    """Add the texture of one tile with its lines; opposite edges match."""
+    file = f"{GROUND}_grid.png"
+    spec.assets = {**spec.assets, file: _grid_png(tuple(tile), tuple(line))}
+    spec.add_texture(name=GROUND, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
+
+
+@cache
+def _grid_png(tile: tuple[float, ...], line: tuple[float, ...]) -> bytes:
+    strength = np.zeros((_GRID_PIXELS, _GRID_PIXELS), np.uint8)
+    place = np.arange(_GRID_PIXELS)
+    cell = _GRID_PIXELS // _GRID_CELLS
+    is_fine = (place + _GRID_LINE // 2) % cell < _GRID_LINE
+    is_edge = (place + _GRID_EDGE // 2) % _GRID_PIXELS < _GRID_EDGE
+    strength[is_fine[:, None] | is_fine] = 1
+    strength[is_edge[:, None] | is_edge] = 2
+    shades = [np.asarray(tile), 0.5 * (np.asarray(tile) + np.asarray(line)), np.asarray(line)]
+    return _png_of(strength, 255.0 * np.stack(shades))
+
+
+def _png_of(indices: NDArray[np.uint8], palette: F64) -> bytes:
+    """A PNG with a palette of (n, 3) colours in 0 to 255."""
+    from PIL import Image
+
+    image = Image.fromarray(indices, mode="P")
+    image.putpalette(np.round(palette).astype(np.uint8).tobytes())
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG")
+    return buffer.getvalue()
 
 
 # --------------------------------------------------------------------------------------------- wood
@@ -189,15 +239,9 @@ def add_wood(
 
 @cache
 def _png(light: tuple[float, ...], dark: tuple[float, ...], planks: bool) -> bytes:
-    from PIL import Image
-
     shade = np.arange(_WOOD_SHADES + 1)[:, None] / _WOOD_SHADES
-    palette = np.round(255.0 * (np.asarray(light) * shade + np.asarray(dark) * (1.0 - shade)))
-    image = Image.fromarray(np.round(_WOOD_SHADES * wood(planks)).astype(np.uint8), mode="P")
-    image.putpalette(palette.astype(np.uint8).tobytes())
-    buffer = io.BytesIO()
-    image.save(buffer, format="PNG")
-    return buffer.getvalue()
+    palette = 255.0 * (np.asarray(light) * shade + np.asarray(dark) * (1.0 - shade))
+    return _png_of(np.round(_WOOD_SHADES * wood(planks)).astype(np.uint8), palette)
 
 
 def wood(planks: bool) -> F64:
@@ -242,16 +286,19 @@ def check_light(cfg: LightCfg) -> list[Problem]:
     return check_pose(cfg)
 
 
-def add_lights(spec: mujoco.MjSpec, lights: Mapping[str, LightCfg]) -> None:
-    """Add the declared lights; if there are none in the scene, a sun with soft shadows."""
+def add_lights(
+    spec: mujoco.MjSpec, lights: Mapping[str, LightCfg], sun: float | None = None
+) -> None:
+    """Add the declared lights; if there are none in the scene, a sun of a strength."""
     if not lights and not spec.lights:
+        brightness = 1.0 if sun is None else float(sun)
         spec.worldbody.add_light(
             name=SUN,
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
             pos=[0.0, 0.0, 6.0],
             dir=[-0.35, 0.45, -1.0],
-            diffuse=[0.62, 0.61, 0.58],
-            specular=[0.2, 0.2, 0.2],
+            diffuse=[brightness * share for share in (0.62, 0.61, 0.58)],
+            specular=3 * [0.2 * brightness],
             castshadow=True,
         )
     for uid, cfg in lights.items():

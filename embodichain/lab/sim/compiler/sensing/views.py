@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Collection, Mapping, Sequence
 
 import mujoco
@@ -13,7 +14,7 @@ from embodichain.lab.sim.compiler.names import Known
 from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.scene.appearance import FOVY
 from embodichain.lab.sim.compiler.scene.known import find_place
-from embodichain.lab.sim.compiler.scene.world import WORLD, World
+from embodichain.lab.sim.compiler.scene.world import PREFIX, WORLD, World
 from embodichain.lab.sim.configs.scene_cfg import DEFAULT_VIEW, ViewCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
@@ -85,6 +86,11 @@ def _check_references(
     if cfg.camera is not None and cfg.camera not in cameras:
         message = f"no camera is called {cfg.camera!r}"
         problems.append(_unknown("camera", message, cfg.camera, cameras))
+    for number, uid in enumerate(cfg.show or ()):
+        if uid not in bodies or "/" in uid:
+            message = f"no entity is called {uid!r}"
+            entities = [name for name in bodies if "/" not in name]
+            problems.append(_unknown(f"show.{number}", message, uid, entities))
     if cfg.body is not None and cfg.body not in bodies:
         place, mistakes = find_place(cfg.body, known)
         problems += [Problem("body", mistake.message, mistake.hint) for mistake in mistakes]
@@ -203,6 +209,7 @@ def place_views(
         views: The declared views.
     """
     points = _shown_points(model, data)
+    bodies = [model.body(i).name for i in range(model.nbody)]
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     at_rest = mujoco.MjData(model)
     mujoco.mj_kinematics(model, at_rest)
@@ -212,7 +219,12 @@ def place_views(
         camera = model.camera(name)
         if cfg.direction is not None:
             axes = _look_axes(np.asarray(cfg.direction, np.float64), cfg.up)
-            pos = _stand_back(points, axes, float(camera.fovy[0]), cfg.target)
+            shown = points
+            if cfg.show is not None:
+                shown = _shown_points(model, data, _bodies_of(cfg.show, bodies))
+            margin = _MARGIN if cfg.margin is None else float(cfg.margin)
+            slope = math.tan(math.radians(float(camera.fovy[0])) / 2.0) / margin
+            pos = _stand_back(shown, axes, slope, cfg.target)
         else:
             pos = np.asarray(cfg.eye, np.float64)
             axes = _look_axes(pos - _target(cfg, middle), cfg.up)
@@ -228,6 +240,13 @@ def place_views(
         spec.camera(name).pos = pos
         spec.camera(name).quat = quat
     _derive_cameras(model)
+
+
+def _bodies_of(uids: Sequence[str], bodies: Sequence[str]) -> list[int]:
+    """The ids of the bodies of entities; those of a scene's file have its prefix."""
+    names = {f"{PREFIX}{uid}" for uid in uids} | {*uids}
+    beginnings = tuple(f"{uid}/" for uid in uids)
+    return [i for i, name in enumerate(bodies) if name in names or name.startswith(beginnings)]
 
 
 def _target(cfg: ViewCfg, middle: F64) -> F64:
@@ -266,16 +285,16 @@ def _look_axes(back: F64, up: Sequence[float]) -> F64:
     return np.stack([right, np.cross(back, right), back], axis=1)
 
 
-def _stand_back(points: F64, axes: F64, fovy: float, target: Sequence[float] | None) -> F64:
+def _stand_back(points: F64, axes: F64, slope: float, target: Sequence[float] | None) -> F64:
     """Return the camera position (3,) from which points (n, 3) just fill the picture.
 
-    With slope t of a side of the view, a camera at (a, c) in the plane of one axis and the view
-    shows a point (x, z) if |x - a| <= t (c - z), so t c + a >= max(x + t z) = high and
-    t c - a >= max(t z - x) = low. The nearest camera has a = (high - low) / 2; `target` fixes a.
+    `slope` is that of the picture's upper side over the distance. With slope t of a side of the
+    view, a camera at (a, c) in the plane of one axis and the view shows a point (x, z) if
+    |x - a| <= t (c - z), so t c + a >= max(x + t z) = high and t c - a >= max(t z - x) = low. The
+    nearest camera has a = (high - low) / 2; `target` fixes a.
     """
     local = points @ axes
     aim = None if target is None else np.asarray(target, np.float64) @ axes
-    slope = np.tan(np.radians(fovy) / 2.0) / _MARGIN
     eye = np.zeros(3)
     depth = -np.inf
     for axis, t in ((0, slope * _ASPECT), (1, slope)):
@@ -299,8 +318,10 @@ def scene_bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64, float
     return 0.5 * (low + high), max(radius, 0.15)
 
 
-def _shown_points(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
-    """(n, 3) corners of the boxes around the drawn shapes of bodies above the ground.
+def _shown_points(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int] | None = None
+) -> F64:
+    """(n, 3) corners of the boxes around the drawn shapes of bodies above the ground; None: all.
 
     Terrains and shapes of the world itself, such as grounds and walls, count only if there are no
     others. A scene without any has a box of 60 cm at the origin.
@@ -308,6 +329,8 @@ def _shown_points(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
     is_drawn = (model.geom_rbound > 0) & (model.geom_group < _HIDDEN_GROUP)
     is_drawn &= model.geom_rgba[:, 3] > 0
     is_of_body = is_drawn & (model.geom_bodyid > 0) & (model.geom_type != _FIELD)
+    if bodies is not None:
+        is_of_body &= np.isin(model.geom_bodyid, bodies)
     geoms = np.flatnonzero(is_of_body if is_of_body.any() else is_drawn)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
     if not len(geoms):

@@ -43,7 +43,7 @@ def middle(sim):
 # -- ground and sky --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["checker", "wood", "plain"])
+@pytest.mark.parametrize("kind", ["checker", "grid", "wood", "plain"])
 def test_things_rest_on_the_ground_whatever_it_looks_like(kind):
     sim = built(SceneCfg(ground=GroundCfg(type=kind, size=1.0)))
     sim.update(step=300)  # the ball is outside of what is drawn
@@ -71,6 +71,30 @@ def test_colours_are_drawn():
     assert abs(tile[0] - tile[1]) > 60
     planks = color(type="wood")
     assert planks[0] > planks[1] > planks[2] > 0  # brown
+
+
+def test_a_grid_has_lines_between_its_tiles_and_finer_ones_inside():
+    """From above, a picture of 24 cm around a corner of four tiles of half a metre."""
+    view = ViewCfg(eye=[0.25, 0.25, 1.0], target=[0.25, 0.25, 0], up=[0, 1, 0], fovy=13.7)
+    ground = GroundCfg(type="grid", colors=[[0.8, 0.8, 0.8], [0.2, 0.2, 0.2]], tile=0.5)
+    sim = built(SceneCfg(ground=ground), views={"corner": view})
+    picture = sim.render(camera="corner", width=240, height=240)[..., 0].astype(int)
+    tile = np.median(picture)
+    column = picture[:, 150]  # a row's line crosses it in the middle, fine ones 10 cm beside
+    assert tile - column[110:131].min() > 60
+    fine = tile - column[10:31].min()
+    assert 20 < fine < tile - column[110:131].min()
+    assert abs(column[50:90] - tile).max() < 5
+
+
+def test_less_sun_makes_shadows_softer():
+    def contrast(sun):
+        sim = built(SceneCfg(ground=GroundCfg(type="plain"), sun=sun))
+        view = sim.scene.model.light("default").diffuse
+        return float(view.sum())
+
+    assert contrast(None) == contrast(1.0) == pytest.approx(2 * contrast(0.5))
+    assert contrast(0.0) == 0.0
 
 
 def test_the_sky_is_a_gradient():

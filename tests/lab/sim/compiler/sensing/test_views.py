@@ -87,6 +87,17 @@ def test_a_view_from_a_direction_shows_all_objects_and_not_much_more(view):
         np.testing.assert_allclose(axes[:, 2], wanted, atol=1e-12)
 
 
+def test_a_view_may_show_some_objects_with_more_room():
+    at = ("a", [0, 0, 1]), ("b", [1.5, -0.5, 0.3]), ("far", [9, 9, 1])
+    alone, _ = camera(scene({"default": {"direction": [1, 2, 3]}}, *at[:2]), "default")
+    view = {"direction": [1, 2, 3], "show": ["a", "b"]}
+    pos, axes = camera(scene({"default": view}, *at), "default")
+    np.testing.assert_allclose(pos, alone, atol=1e-12)
+    wide, _ = camera(scene({"default": view | {"margin": 2.4}}, *at), "default")
+    assert (wide - pos) @ axes[:, 2] > 1.5  # metres farther back: twice the margin
+    assert np.abs((wide - pos) @ axes[:, :2]).max() < 0.3
+
+
 def test_the_ground_and_hidden_shapes_do_not_widen_the_view():
     alone = camera(scene({}, ("a", [0, 0, 1])), "default")[0]
     sim = scene({}, ("a", [0, 0, 1]))

@@ -94,7 +94,9 @@ class RecordCameraData(Term):
                 camera_number = camera_id(engine.model, camera)
             except ValueError as error:
                 raise ConfigError([Problem("camera", str(error))]) from error
-            self._view = partial(view_of, engine, camera_number, width, height, look="full")
+            self._view = partial(
+                view_of, engine, camera_number, width, height, look="full", marks=True
+            )
         self._folder = None if save_path is None else Path(save_path)
         self._fps = env.control_frequency if fps is None else fps
         self._videos: dict[int, VideoFile] = {}
@@ -154,7 +156,13 @@ def filmed_from(
     except ValueError as error:
         raise ConfigError([Problem("target", str(error))]) from error
     optics = Optics(width, height, (fx, fy), (cx, cy))
-    return View(optics, viewpoint.position, viewpoint.axes, look="full")
+    return View(
+        optics=optics,
+        position=viewpoint.position,
+        axes=viewpoint.axes,
+        look="full",
+        marks=True,
+    )
 
 
 def _finish_at_close(env: TermContext, term: RecordCameraData) -> None:
