@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.unread_keys import unread_keys
-from embodichain.cli.terminal.last import announce_last, replace_last
+from embodichain.cli.terminal.last import announce_last, replace_last, resolve_links
 from embodichain.cli.terminal.process import Interrupted, StopFlag, end_startup
 from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
 from embodichain.cli.verb import command_line
@@ -293,7 +293,8 @@ def start(verb: JobVerb, work: Work, options: JobOptions) -> None:
 
         overrides.append(override_of(options.gym_config))
     # Read here: the workers of a sweep are not called by this command line.
-    execute_job = partial(execute, work=work, command=command_line(), verb=verb)
+    command = resolve_links(command_line())
+    execute_job = partial(execute, work=work, command=command, verb=verb)
 
     def check(job_overrides: Sequence[str]) -> Resolved:
         """Check a job of Hydra's, which is resolved and compiled again where it runs."""

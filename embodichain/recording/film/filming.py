@@ -20,11 +20,12 @@ from embodichain.lab.sim.drawing.views import View, Viewpoint
 from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.read.api import Log
 from embodichain.recording.read.playback import Playback, Span, Stretch
+from embodichain.recording.read.recorded_log import RecordedLog
 from embodichain.recording.shards import joining
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.video import GIF, Film, film_file, need_encoder
 
-__all__ = ["FASTEST", "FilmStyle", "Filmed", "film_log"]
+__all__ = ["FASTEST", "FilmStyle", "Filmed", "default_camera", "film_log"]
 
 FASTEST = 60.0
 """Largest frame rate (1/s) that is chosen; above it, control steps are skipped."""
@@ -208,9 +209,14 @@ def _camera_or_viewpoint(log: Log, camera: str | None) -> str | Viewpoint | View
     Raises:
         ConfigError: If there is no such camera.
     """
-    model = log.model
     if camera is not None:
         return cameras_of(log, [camera])[camera].camera
+    return default_camera(log)
+
+
+def default_camera(log: RecordedLog) -> str | Viewpoint:
+    """The camera of a log's films: ``default`` of its scene if it exists, else a front view."""
+    model = log.model
     if _DEFAULT_CAMERA in [model.camera(i).name for i in range(model.ncam)]:
         return _DEFAULT_CAMERA
     center = np.asarray(model.stat.center)
