@@ -293,8 +293,7 @@ def start(verb: JobVerb, work: Work, options: JobOptions) -> None:
 
         overrides.append(override_of(options.gym_config))
     # Read here: the workers of a sweep are not called by this command line.
-    command = resolve_links(command_line())
-    execute_job = partial(execute, work=work, command=command, verb=verb)
+    execute_job = partial(execute, work=work, command=command_line(), verb=verb)
 
     def check(job_overrides: Sequence[str]) -> Resolved:
         """Check a job of Hydra's, which is resolved and compiled again where it runs."""
@@ -395,8 +394,9 @@ def execute(
     """
     from embodichain.config.resolved import compile_scene_of
 
-    # `last` may be another training when the record of this job is read.
+    # `last` and `latest` may be another run when the record of this job is read.
     resolved = pin_last(resolved)
+    command = resolve_links(command)
     # Before a folder is made: a scene with mistakes leaves none.
     compiled_scene = compile_scene_of(resolved)
     if resolved.tree["sim"]["engine"] == "warp":

@@ -9,14 +9,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Axis", "count_axis", "step_axis", "tick_labels", "value_axis"]
+__all__ = [
+    "LARGEST",
+    "Axis",
+    "count_axis",
+    "step_axis",
+    "tick_labels",
+    "tick_step",
+    "ticks_between",
+    "value_axis",
+]
 
 F64 = NDArray[np.float64]
 
-_LARGEST = 1e300
+LARGEST = 1e300
 """Values beyond are drawn as this: the length of an axis has to be a finite number."""
 _SMALLEST = 1e-300
 """Values that are all smaller are drawn as 0."""
+_CONSTANT = 0.01
+"""Range below which values are a constant, as a share of the largest."""
 _NEAR_ZERO = 0.35
 """An axis begins at 0 if the smallest value is below this share of the largest."""
 _SMALLEST_RANGE = 0.05
@@ -47,7 +58,7 @@ class Axis:
 
     def place(self, values: ArrayLike) -> F64:
         """Return where values are: 0 at the beginning of the axis, 1 at its end."""
-        numbers = np.clip(np.asarray(values, np.float64), -_LARGEST, _LARGEST)
+        numbers = np.clip(np.asarray(values, np.float64), -LARGEST, LARGEST)
         return (numbers - self.low) / (self.high - self.low)
 
     @property
@@ -70,12 +81,13 @@ def value_axis(values: ArrayLike, *, is_share: bool = False, most_ticks: int = 5
     if is_share:
         return Axis(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0), is_share=True)
     numbers = np.asarray(values, np.float64)
-    numbers = np.clip(numbers[np.isfinite(numbers)], -_LARGEST, _LARGEST)
+    numbers = np.clip(numbers[np.isfinite(numbers)], -LARGEST, LARGEST)
     if not numbers.size:
         return _axis(0.0, 1.0, most_ticks)
     low = float(numbers.min())
     high = float(numbers.max())
-    if low == high or 0 < low < _NEAR_ZERO * high:
+    is_constant = high - low < _CONSTANT * max(abs(low), abs(high))
+    if is_constant or 0 < low < _NEAR_ZERO * high:
         low = min(low, 0.0)
         high = max(high, 0.0)
     elif _NEAR_ZERO * low < high < 0:
@@ -95,29 +107,37 @@ def value_axis(values: ArrayLike, *, is_share: bool = False, most_ticks: int = 5
 def step_axis(last: float, *, most_ticks: int = 5) -> Axis:
     """Return an axis from 0 to a number of steps, with ticks at whole numbers."""
     end = max(last, 1.0)
-    step = max(_tick_step(end, most_ticks), 1.0)
-    ticks = np.arange(0.0, end * (1 + 1e-9), step)
-    return Axis(0.0, end, tuple(ticks.tolist()))
+    return Axis(0.0, end, ticks_between(0.0, end, most_ticks, smallest_step=1.0))
 
 
 def count_axis(largest: int, *, most_ticks: int = 4) -> Axis:
     """Return an axis from 0 to at least a number of things, with ticks at whole numbers."""
-    step = max(math.ceil(_tick_step(max(largest, 1), most_ticks)), 1)
+    step = max(math.ceil(tick_step(max(largest, 1), most_ticks)), 1)
     ticks = tuple(float(tick) for tick in range(0, largest + step, step))
     return Axis(0.0, max(ticks[-1], 1.0), ticks)
 
 
 def _axis(low: float, high: float, most_ticks: int) -> Axis:
     """An axis from the last tick before `low` to the first one after `high`."""
-    step = _tick_step(high - low, most_ticks)
+    step = tick_step(high - low, most_ticks)
     first = math.floor(low / step + 1e-9)
     last = math.ceil(high / step - 1e-9)
     ticks = tuple(float(number * step) for number in range(first, last + 1))
     return Axis(ticks[0], ticks[-1], ticks)
 
 
-def _tick_step(length: float, most_ticks: int) -> float:
-    """The smallest nice distance of ticks with which a length has at most so many."""
+def ticks_between(
+    low: float, high: float, most_ticks: int = 5, *, smallest_step: float = 0.0
+) -> tuple[float, ...]:
+    """Return the ticks from one value to a larger one, both included if they are nice."""
+    step = max(tick_step(high - low, most_ticks), smallest_step)
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
+    return tuple(float(number * step) for number in range(first, last + 1))
+
+
+def tick_step(length: float, most_ticks: int) -> float:
+    """Return the smallest nice distance of ticks with which a length has at most so many."""
     smallest = length / max(most_ticks - 1, 1)
     magnitude = 10.0 ** math.floor(math.log10(smallest))
     for nice in _NICE:

@@ -14,7 +14,15 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
-from embodichain.cli.pages.axes import Axis, count_axis, step_axis, value_axis
+from embodichain.cli.pages.axes import (
+    LARGEST,
+    Axis,
+    count_axis,
+    step_axis,
+    tick_step,
+    ticks_between,
+    value_axis,
+)
 from embodichain.cli.terminal.output import number
 
 __all__ = ["Line", "ValueGroup", "bar", "distribution", "interval_mark", "line_chart"]
@@ -37,6 +45,10 @@ _MOST_DOTS = 30
 _COLORS = 8
 """Classes `c0` to `c7` of `page.css`."""
 _MOST_BINS = 24
+_LARGEST_WHOLE = 1e12
+"""Numbers up to here have a bar each if they are whole."""
+_SAME = 1e-9
+"""Relative difference below which values are the same."""
 _INTERVAL_WIDTH = 220
 
 
@@ -101,7 +113,7 @@ def line_chart(
 def _note(line: Line, *, is_share: bool) -> str:
     """What a chart of one line says in words: its value, if it has only one, or its last."""
     text = f"{line.y[-1]:.1%}" if is_share else number(float(line.y[-1]))
-    if len(line.y) > 1 and np.ptp(line.y) == 0:
+    if len(line.y) > 1 and line.y.min() == line.y.max():
         return f"constant {text}"
     return f"last {text}" if len(line.y) > 1 else text
 
@@ -184,7 +196,7 @@ def distribution(title: str, groups: Sequence[ValueGroup], *, note: str = "") ->
         note: A text beside the title, such as how many there are.
     """
     columns = [np.asarray(group.values, np.float64) for group in groups]
-    columns = [values[np.isfinite(values)] for values in columns]
+    columns = [values[np.isfinite(values)].clip(-LARGEST, LARGEST) for values in columns]
     everything = np.concatenate([*columns, np.zeros(0)])
     if not everything.size:
         return _figure(title, "no finite values", Markup(""), Markup(""))
@@ -223,18 +235,23 @@ def _bin_edges(values: F64) -> F64:
     """Edges of bars with a nice width; a bar for each number if these are few and whole."""
     low = float(values.min())
     high = float(values.max())
-    are_whole = bool((values == np.round(values)).all())
+    largest = max(abs(low), abs(high))
+    are_whole = largest < _LARGEST_WHOLE and bool((values == np.round(values)).all())
     if are_whole and high - low < _MOST_BINS:
         return np.arange(low - 0.5, high + 1.0, dtype=np.float64)
-    if low == high:
-        half = abs(low) * 0.05 or 0.5
-        return np.array([low - half, low + half])
+    if high - low <= _SAME * largest:
+        half = largest * 0.05 or 0.5
+        center = (low + high) / 2
+        return np.array([center - half, center + half])
     bins = int(np.clip(math.ceil(2 * math.sqrt(values.size)), 5, _MOST_BINS))
-    axis = value_axis([low, high], most_ticks=bins + 1)
-    step = axis.ticks[1] - axis.ticks[0]
+    step = tick_step(high - low, bins + 1)
     first = math.floor(low / step + 1e-9)
     last = max(math.ceil(high / step - 1e-9), first + 1)
-    return np.arange(first, last + 1, dtype=np.float64) * step
+    edges = np.arange(first, last + 1, dtype=np.float64) * step
+    # A value that rounding would put beside its bar.
+    edges[0] = min(edges[0], low)
+    edges[-1] = max(edges[-1], high)
+    return edges
 
 
 def _bin_axis(edges: F64) -> Axis:
@@ -245,8 +262,7 @@ def _bin_axis(edges: F64) -> Axis:
         # A single bar, in the middle: one that fills the width looks like a range of values.
         center = (low + high) / 2
         return Axis(center - 3 * (high - low), center + 3 * (high - low), (center,))
-    ticks = [tick for tick in value_axis([low, high]).ticks if low <= tick <= high]
-    return Axis(low, high, tuple(ticks))
+    return Axis(low, high, ticks_between(low, high))
 
 
 def _draw_bars(

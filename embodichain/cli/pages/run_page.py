@@ -213,6 +213,7 @@ def _shown_episode(
         notes.append(f"no pictures of the log: {error}")
         return None
     if unfinished is None:
+        notes.append("no pictures of the log: it has no step that could be drawn")
         return None
     return PlayedEpisode(
         env=unfinished.env,

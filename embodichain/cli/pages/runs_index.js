@@ -173,7 +173,8 @@ function chart(title, curves) {
 
 function ticksOf(values) {
   let [low, high] = [Math.min(...values), Math.max(...values)];
-  if (low === high || (low > 0 && low < 0.35 * high)) [low, high] = [Math.min(low, 0), Math.max(high, 0)];
+  const isConstant = high - low < 0.01 * Math.max(Math.abs(low), Math.abs(high));
+  if (isConstant || (low > 0 && low < 0.35 * high)) [low, high] = [Math.min(low, 0), Math.max(high, 0)];
   if (low === high) high = low + 1;
   const rough = (high - low) / 4;
   const magnitude = 10 ** Math.floor(Math.log10(rough));

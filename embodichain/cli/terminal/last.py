@@ -1,5 +1,4 @@
-"""The word `last` and the link `latest`: each verb says which run it took, and its record has the
-path, since both are another run soon."""
+"""The word `last`, the link `latest`: verbs say which run it is, and their record has its path."""
 
 from __future__ import annotations
 
