@@ -158,17 +158,17 @@ def _success(
 
 def _recorded_success(record: RunRecord) -> Result | None:
     """The success rate of a summary: of all episodes of a run, of the last ones of a training."""
-    from embodichain.learning.evaluation.episodes import EPISODE_WINDOW
+    from embodichain.learning.evaluation.comparison import training_trials
     from embodichain.learning.evaluation.statistics import rate
 
     share = record.summary.get("success_rate")
-    trials = int(record.summary.get("episodes") or 0)
-    if share is None or not trials:
+    if share is None:
         return None
     name = "success"
+    trials = int(record.summary.get("episodes") or 0)
     if record.kind == "training":
         name = "success in training"
-        trials = min(trials, EPISODE_WINDOW)
+        trials = training_trials(record.summary)
     measured = rate(np.arange(trials) < round(share * trials))
     return None if measured is None else rate_result(name, measured)
 
@@ -186,7 +186,7 @@ def _mean(
     unit = "steps" if name == "length" else ""
     recorded = evaluation.get("returns" if name == "return" else name) or record.summary.get(name)
     measured: Estimate | Mapping[str, Any] | None = recorded
-    has_interval = bool(recorded) and "mean_interval" in recorded
+    has_interval = "mean_interval" in (recorded or {})
     if episodes and not has_interval:
         column = "length" if name == "length" else "total_reward"
         measured = estimate([float(getattr(episode, column)) for episode in episodes])

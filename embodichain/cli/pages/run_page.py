@@ -18,7 +18,13 @@ from embodichain.cli.pages.episodes import PlayedEpisode, counted_episodes, read
 from embodichain.cli.pages.figures import ValueGroup, bar, distribution
 from embodichain.cli.pages.headline import headline
 from embodichain.cli.pages.page import data_url, render_page
-from embodichain.cli.pages.run_record import RunRecord, read_json, read_record, read_text
+from embodichain.cli.pages.run_record import (
+    RunRecord,
+    named_damage,
+    read_json,
+    read_record,
+    read_text,
+)
 from embodichain.cli.pages.stills import Still, draw_ends, draw_strip
 from embodichain.cli.results.summaries import result_rows
 from embodichain.cli.terminal.output import number
@@ -56,7 +62,13 @@ def page_of_run(folder: Path) -> str:
     Raises:
         ConfigError: If it is not a run's folder, or a file in it is damaged.
     """
-    record = read_record(folder)
+    with named_damage(folder):
+        return render_page("run.html.tmpl", _context(read_record(folder)))
+
+
+def _context(record: RunRecord) -> dict[str, Any]:
+    """The variables of the template."""
+    folder = record.folder
     notes = _notes(record)
     log = _log(record, notes)
     episodes = read_episodes(record, log)
@@ -64,7 +76,7 @@ def page_of_run(folder: Path) -> str:
     pictures_notes: list[str] = []
     strip, strip_caption = ([], "") if films else strip_of(record, episodes, pictures_notes)
     stills, stills_caption = _failed_stills(episodes, pictures_notes)
-    context = {
+    return {
         "title": f"{record.task}: {record.kind}",
         "record": record,
         "folder": display_path(folder),
@@ -93,7 +105,6 @@ def page_of_run(folder: Path) -> str:
         "messages": "\n".join(read_text(folder / "run.log").splitlines()[-_MOST_MESSAGES:]),
         "versions": _versions(folder),
     }
-    return render_page("run.html.tmpl", context)
 
 
 def _notes(record: RunRecord) -> list[str]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -15,10 +16,10 @@ import yaml
 from embodichain.config.composition.locate import display_path
 from embodichain.config.run_folder import CHECKPOINT, CONFIG, LATEST, LOG, SHARDS, SUMMARY
 from embodichain.utils.env_text import shown
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, EmbodichainError
 from embodichain.utils.system.atomic import remove_abandoned
 
-__all__ = ["Kind", "RunRecord", "read_json", "read_record", "read_text"]
+__all__ = ["Kind", "RunRecord", "named_damage", "read_json", "read_record", "read_text"]
 
 EVALUATION = "eval.json"
 Kind = str
@@ -159,6 +160,24 @@ def _task_of(folder: Path, overrides: tuple[str, ...]) -> str:
         if key == "task":
             return value
     return folder.name.partition("_")[2] or folder.name
+
+
+@contextmanager
+def named_damage(folder: Path) -> Iterator[None]:
+    """Raise an error of values that a run's files should not have as one about this run.
+
+    Files of other versions, or that somebody has edited, have other keys and types.
+
+    Raises:
+        ConfigError: The error; names the folder.
+    """
+    try:
+        yield
+    except EmbodichainError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        text = f"the results in {folder} are damaged, or of another version: {error!r}"
+        raise ConfigError(text) from error
 
 
 # -- the command -----------------------------------------------------------------------------------

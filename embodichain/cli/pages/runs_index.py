@@ -20,7 +20,7 @@ from markupsafe import Markup
 from embodichain.cli.pages.headline import Result, headline
 from embodichain.cli.pages.page import render_page
 from embodichain.cli.pages.run_page import fact_rows
-from embodichain.cli.pages.run_record import EVALUATION, RunRecord, read_record
+from embodichain.cli.pages.run_record import EVALUATION, RunRecord, named_damage, read_record
 from embodichain.cli.pages.thumbnails import Thumbnail, Thumbnails
 from embodichain.cli.terminal.output import to_json
 from embodichain.config.composition.locate import display_path
@@ -95,14 +95,15 @@ def page_of_runs(folder: Path, out: Path) -> str:
     data: list[dict[str, Any]] = []
     for run in runs_in(folder):
         try:
-            record = read_record(run)
+            with named_damage(run):
+                record = read_record(run)
+                compared = _compared_data(record)
+                row = _row(record, folder, out, thumbnails)
         except ConfigError as error:
-            rows.append(_damaged_row(run, folder, out, error))
-            data.append({})
-            continue
-        row = _row(record, folder, out, thumbnails)
+            compared = {}
+            row = _damaged_row(run, folder, out, error)
         rows.append(row)
-        data.append(_compared_data(record))
+        data.append(compared)
     if not rows:
         raise ConfigError(f"{folder} has no run: there is no {CONFIG} of one in it or below")
     order = sorted(range(len(rows)), key=lambda i: rows[i].begun, reverse=True)

@@ -1,4 +1,4 @@
-"""`embodichain report FOLDER`: the index of runs, as a browser sorts, searches and compares them."""
+"""`embodichain report FOLDER`: an index of runs, which a browser sorts, searches and compares."""
 
 import html
 import json
@@ -152,6 +152,25 @@ def test_damage_of_one_run_is_a_row(runs: Path) -> None:
     text = index(runs)
     assert len(names(text)) == 4 and text.count(">damaged<") == 2
     assert "summary.json is damaged" in text
+
+
+@pytest.mark.parametrize(
+    "summary",
+    [
+        {"task": "push", "status": "finished", "return": 3},
+        {"task": "push", "status": "finished", "return": {"mean": "x"}, "success_rate": "all"},
+        {"task": "push", "status": "another", "algo": [], "eval": {"success": {}}},
+        {"task": ["push"], "status": None, "eval": []},
+    ],
+)
+def test_results_of_other_kinds_are_damage(
+    runs: Path, summary: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = runs / "2026-01-02/a_push"
+    (run / "summary.json").write_text(json.dumps(summary))
+    assert len(names(index(runs))) == 4
+    code = main(["report", str(run)])
+    assert code == 0 or (code == 2 and "of another version" in capsys.readouterr().err)
 
 
 def test_only_runs_are_in_it(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
