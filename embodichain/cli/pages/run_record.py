@@ -81,10 +81,9 @@ class RunRecord:
     @property
     def log(self) -> Path | None:
         """What `recording.open` takes; None without a log."""
-        if (self.folder / LOG).exists():
-            return self.folder / LOG
-        if (self.folder / SHARDS).exists():
-            return self.folder
+        for name in (LOG, SHARDS):
+            if (self.folder / name).exists():
+                return self.folder / name
         return None
 
     @property
