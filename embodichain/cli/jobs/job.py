@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.unread_keys import unread_keys
-from embodichain.cli.terminal.last import announce_last, replace_last
+from embodichain.cli.terminal.last import announce_last, replace_last, resolve_links
 from embodichain.cli.terminal.process import Interrupted, StopFlag, end_startup
 from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
 from embodichain.cli.verb import command_line
@@ -397,8 +397,9 @@ def execute(
     """
     from embodichain.config.resolved import compile_scene_of
 
-    # `last` may be another training when the record of this job is read.
+    # `last` and `latest` may be another run when the record of this job is read.
     resolved = pin_last(resolved)
+    command = resolve_links(command)
     # Before a folder is made: a scene with mistakes leaves none.
     compiled_scene = compile_scene_of(resolved)
     if resolved.tree["sim"]["engine"] == "warp":

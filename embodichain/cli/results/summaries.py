@@ -7,9 +7,38 @@ from typing import Any
 
 from embodichain.cli.terminal.output import number
 
-__all__ = ["brief_rows", "collection_rows", "evaluation_rows", "run_rows", "training_rows"]
+__all__ = [
+    "brief_rows",
+    "collection_rows",
+    "evaluation_rows",
+    "result_rows",
+    "run_rows",
+    "training_rows",
+]
 
 Rows = list[tuple[str, Any]]
+
+
+def result_rows(summary: Mapping[str, Any], evaluation: Mapping[str, Any]) -> Rows:
+    """Return the table that the command of a run printed, without rewards.
+
+    Args:
+        summary: The content of its `summary.json`; empty without it.
+        evaluation: The content of its `eval.json`; empty without it.
+    """
+    if summary.get("status") == "failed":
+        rows = list(summary.items())
+    elif "algo" in summary:
+        rows = training_rows(summary)
+    elif "successes_wanted" in summary:
+        rows = collection_rows(summary)
+    elif summary:
+        rows = run_rows(summary)
+    elif evaluation:
+        rows = evaluation_rows(evaluation)
+    else:
+        rows = []
+    return [(name, value) for name, value in rows if not name.startswith("reward ")]
 
 
 def run_rows(summary: Mapping[str, Any]) -> Rows:
@@ -98,6 +127,8 @@ def training_rows(summary: Mapping[str, Any]) -> Rows:
         cell = value
         if key == "time_fractions":
             cell = [f"{name} {share:.0%}" for name, share in value.items()]
+        elif key == "success_rate" and value is not None:
+            cell = f"{value:.1%}"
         rows.append((key.replace("_", " "), cell))
     if summary.get("eval") is not None:
         rows += brief_rows(summary["eval"])

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+import shlex
 import sys
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,8 @@ from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text
 
 if TYPE_CHECKING:
+    from embodichain.cli.pages.headline import Result
+    from embodichain.cli.pages.stills import Still
     from embodichain.learning.evaluation.comparison import Group
 
 __all__ = ["has_finished_training", "page_of_sweep", "report_sweep"]
@@ -156,22 +159,31 @@ def _largest_objectives(groups: Sequence[Group]) -> list[int]:
 
 
 def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
-    from jinja2 import Environment
-
-    from embodichain.learning.evaluation.comparison import short_labels
-    from embodichain.learning.evaluation.plots import curves_svg
+    from embodichain.cli.pages.curves import group_charts
+    from embodichain.cli.pages.episodes import episodes_of
+    from embodichain.cli.pages.page import render_page
+    from embodichain.cli.pages.run_page import strip_of
+    from embodichain.cli.pages.run_record import read_record
+    from embodichain.learning.evaluation.comparison import best_group, short_labels
 
     title, rows = comparison_table(groups)
     _, labels = short_labels(groups)
     drawn = _largest_objectives(groups)
-    page_notes = [*too_few_seeds(groups), *notes]
+    page_notes = list(notes)
+    picture_notes: list[str] = []
+    best = best_group(groups)
+    strip: list[Still] = []
+    strip_caption = ""
+    if best is not None:
+        record = read_record(best.runs[0].folder)
+        strip, strip_caption = strip_of(record, episodes_of(record), picture_notes)
     if len(groups) > len(drawn):
         page_notes.append(f"curves of the {len(drawn)} groups with the largest objective")
     try:
-        curves = curves_svg([groups[i] for i in drawn], [labels[i] for i in drawn])
-    except ConfigError as error:  # matplotlib is missing, or curves do not fit together
-        curves = ""
-        page_notes.append(str(error))
+        charts = group_charts([groups[i] for i in drawn], [labels[i] for i in drawn])
+    except ValueError as error:  # curves of a group do not fit together
+        charts = []
+        page_notes.append(f"no curves: {error}")
     jobs = []
     for group, label in zip(groups, labels, strict=True):
         for run in group.runs:
@@ -183,15 +195,37 @@ def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
                     "objective": number(run.numbers.get("objective")),
                 }
             )
-    template = resources.files("embodichain.cli") / "templates" / "sweep.html.tmpl"
-    page = Environment(autoescape=True).from_string(template.read_text(encoding="utf-8"))
-    return page.render(
-        title=title,
-        folder=display_path(folder),
-        notes=page_notes,
-        best=_best_point(folder, groups),
-        rows=[{name: number(cell) for name, cell in row.items()} for row in rows],
-        curves=curves,
-        jobs=jobs,
-        command=f"embodichain compare {display_path(folder)}",
-    )
+    context = {
+        "title": f"sweep {folder.name}",
+        "heading": title,
+        "folder": display_path(folder),
+        "notes": page_notes,
+        "results": _results(groups, labels, best),
+        "strip": strip,
+        "strip_caption": strip_caption,
+        "picture_notes": picture_notes,
+        "hints": too_few_seeds(groups),
+        "best": _best_point(folder, groups) if _search_result(folder) else [],
+        "rows": [{name: number(cell) for name, cell in row.items()} for row in rows],
+        "charts": charts,
+        "jobs": jobs,
+        "command": f"embodichain compare {shlex.quote(display_path(folder))}",
+    }
+    return render_page("sweep.html.tmpl", context)
+
+
+def _results(groups: Sequence[Group], labels: Sequence[str], best: Group | None) -> list[Result]:
+    """What was found: the best point with its objective, and how much was tried."""
+    from embodichain.cli.pages.headline import Result, seeds_result
+
+    results = []
+    objective = None if best is None else best.number("objective")
+    if best is not None and objective is not None:
+        is_share = any("objective" in run.trials for run in best.runs)
+        result = seeds_result("best objective", objective, is_share=is_share)
+        label = labels[list(groups).index(best)]
+        results.append(dataclasses.replace(result, about=(label, *result.about)))
+    num_runs = sum(len(group.runs) for group in groups)
+    about = ("1 training",) if num_runs == 1 else (f"{num_runs} trainings",)
+    results.append(Result("points", str(len(groups)), about=about))
+    return results

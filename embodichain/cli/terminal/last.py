@@ -1,4 +1,4 @@
-"""The word `last`: each verb says which run it took, and its record has the path."""
+"""The word `last`, the link `latest`: verbs say which run it is, and their record has its path."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from pathlib import Path
 import click
 
 from embodichain.config.composition.locate import display_path
+from embodichain.config.run_folder import LATEST
 
-__all__ = ["announce_last", "replace_last"]
+__all__ = ["announce_last", "replace_last", "resolve_links"]
 
 _WORD = "last"
 _PATH_KEY = "embodichain.last"
@@ -50,3 +51,25 @@ def replace_last(command: Sequence[str]) -> list[str]:
     for key in ("policy", "resume", "dataset"):
         replacements[f"{key}={_WORD}"] = f"{key}={path}"
     return [replacements.get(word, word) for word in command]
+
+
+def resolve_links(command: Sequence[str]) -> list[str]:
+    """Return a command line with the run's path in place of the link ``latest``.
+
+    To be called before the run of this command has a folder: then the link leads to that.
+    """
+    return [_without_link(word) for word in command]
+
+
+def _without_link(word: str) -> str:
+    """``policy=outputs/latest`` as ``policy=outputs/2026-01-31/12-00-00_reach``."""
+    key, separator, value = word.rpartition("=")
+    parts = Path(value).parts
+    if LATEST not in parts:
+        return word
+    end = parts.index(LATEST) + 1
+    link = Path(*parts[:end])
+    if not link.is_symlink() or not link.exists():
+        return word
+    path = Path(display_path(link), *parts[end:])
+    return f"{key}{separator}{path}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,6 +31,7 @@ __all__ = [
     "read_curves",
     "read_run",
     "short_labels",
+    "training_trials",
     "trainings_in",
 ]
 
@@ -163,8 +164,7 @@ def read_run(folder: Path) -> TrainedRun:
         if summary.get(name) is not None:
             numbers[name] = float(summary[name])
     if "success_rate" in numbers:
-        window = summary.get("num_envs") if algo == "bc" else EPISODE_WINDOW
-        trials["success_rate"] = min(int(summary.get("episodes") or 0), int(window or 0))
+        trials["success_rate"] = training_trials(summary)
     evaluation = _newest_evaluation(folder) or summary.get("eval") or {}
     returns = evaluation.get("returns") or {}
     if returns.get("mean") is not None:
@@ -186,6 +186,12 @@ def read_run(folder: Path) -> TrainedRun:
         trials=trials,
         curves=read_curves(folder / PROGRESS),
     )
+
+
+def training_trials(summary: Mapping[str, Any]) -> int:
+    """Return the number of episodes behind the success rate in the summary of a training."""
+    window = summary.get("num_envs") if summary.get("algo") == "bc" else EPISODE_WINDOW
+    return min(int(summary.get("episodes") or 0), int(window or 0))
 
 
 def group_runs(runs: Iterable[TrainedRun]) -> list[Group]:

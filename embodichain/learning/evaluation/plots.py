@@ -7,7 +7,6 @@ import logging
 import os
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from embodichain.learning.evaluation.comparison import (
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import atomic_file
 
-__all__ = ["CURVES_FILE", "curves_svg", "draw_curves", "plot_curves", "set_axes"]
+__all__ = ["CURVES_FILE", "draw_curves", "plot_curves", "set_axes"]
 
 CURVES_FILE = "curves.png"
 _TITLES = {
@@ -37,8 +36,12 @@ _LINE_WIDTH = 90
 """Characters that fit the picture's width."""
 _MARGIN = 0.05
 """Empty space beside the curves, as a share of an axis."""
+_CONSTANT = 0.01
+"""Range below which values are a constant, as a share of the largest: the axis begins at 0."""
 _SMALLEST_RANGE = 0.05
 """Smallest range of an axis, as a share of its largest value, so that small changes look flat."""
+_FEWEST_IN_LINE = 3
+"""Points below which there are dots instead of a line."""
 _log = logging.getLogger(__name__)
 
 
@@ -70,7 +73,7 @@ def draw_curves(run_dir: Path) -> Path | None:
     names = [name for name in _TITLES if name in curves]
     for axes, name in zip(panels, names, strict=False):
         curve = curves[name]
-        axes.plot(curve.steps, curve.values, marker=_marker(curve))
+        axes.plot(curve.steps, curve.values, _style(curve))
         set_axes(axes, float(curve.steps[-1]), curve.values.tolist(), share=name == SUCCESS)
         axes.set_title(_TITLES[name])
     if curriculum:
@@ -80,9 +83,9 @@ def draw_curves(run_dir: Path) -> Path | None:
     return path
 
 
-def _marker(curve: Curve) -> str:
-    """Return the marker of a curve: a single point has no line to be seen."""
-    return "o" if len(curve.steps) == 1 else ""
+def _style(curve: Curve) -> str:
+    """Return the line of a curve, or dots: two points are not a trend."""
+    return "-" if len(curve.steps) >= _FEWEST_IN_LINE else "o"
 
 
 def _draw_curriculum(axes: Any, curves: Mapping[str, Curve]) -> None:
@@ -90,7 +93,7 @@ def _draw_curriculum(axes: Any, curves: Mapping[str, Curve]) -> None:
     values: list[float] = []
     for name, curve in sorted(curves.items()):
         label = name.removeprefix(_CURRICULUM)
-        axes.plot(curve.steps, curve.values, label=label, marker=_marker(curve))
+        axes.plot(curve.steps, curve.values, _style(curve), label=label)
         last_step = max(last_step, float(curve.steps[-1]))
         values += curve.values.tolist()
     set_axes(axes, last_step, values, share=False)
@@ -125,28 +128,6 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
         raise ConfigError(f"{path} exists; it is never replaced") from error
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot write {path}: {error}") from error
-
-
-def curves_svg(groups: Sequence[Group], labels: Sequence[str]) -> str:
-    """Return the same curves as text of an SVG picture, for a page; empty without any.
-
-    Args:
-        groups: The groups to compare.
-        labels: A label for each.
-
-    Raises:
-        ConfigError: If matplotlib is missing.
-    """
-    if not any(run.curves for group in groups for run in group.runs):
-        return ""
-    figure = _figure(groups, labels)
-    import matplotlib as mpl
-
-    stream = StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "sweep"}):
-        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
-    text = stream.getvalue()
-    return text[text.index("<svg") :]
 
 
 def _figure(groups: Sequence[Group], labels: Sequence[str]) -> Any:
@@ -187,8 +168,11 @@ def _draw_groups(axes: Any, groups: Sequence[Group], name: str) -> None:
         except ValueError as error:
             raise ConfigError(f"{group.label}: {error}") from error
         color = f"C{number}"
-        are_points = all(len(curve.steps) == 1 for curve in curves)
-        axes.plot(steps, mean, color=color, marker="o" if are_points else "")
+        if all(len(curve.steps) < _FEWEST_IN_LINE for curve in curves):
+            steps, mean, low, high = band(curves, _FEWEST_IN_LINE - 1, share=is_share)
+            axes.plot(steps, mean, "o", color=color)
+        else:
+            axes.plot(steps, mean, color=color)
         last_step = max(last_step, float(steps[-1]))
         if low is not None and high is not None:
             axes.fill_between(steps, low, high, alpha=0.2, color=color, linewidth=0)
@@ -223,6 +207,9 @@ def set_axes(axes: Any, last_step: float, values: Iterable[float], *, share: boo
         values = list(values)
         low = min(values)
         high = max(values)
+        if high - low < _CONSTANT * max(abs(low), abs(high)):
+            low = min(low, 0.0)
+            high = max(high, 0.0)
     smallest_range = _SMALLEST_RANGE * max(abs(low), abs(high)) or 1.0
     middle = (low + high) / 2
     half = max(high - low, smallest_range) / 2 * (1 + 2 * _MARGIN)

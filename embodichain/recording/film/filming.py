@@ -20,11 +20,12 @@ from embodichain.lab.sim.drawing.views import Viewpoint
 from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.read.api import Log
 from embodichain.recording.read.playback import Playback, Span, Stretch
+from embodichain.recording.read.recorded_log import RecordedLog
 from embodichain.recording.shards import joining
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.video import GIF, Film, film_file, need_encoder
 
-__all__ = ["FASTEST", "FilmStyle", "Filmed", "film_log"]
+__all__ = ["FASTEST", "FilmStyle", "Filmed", "default_camera", "film_log"]
 
 FASTEST = 60.0
 """Largest frame rate (1/s) that is chosen; above it, control steps are skipped."""
@@ -209,12 +210,12 @@ def _camera_of(log: Log, style: FilmStyle) -> FilmCamera:
         ConfigError: If there is no such camera.
     """
     name = style.camera
-    camera = _default_camera(log) if name is None else cameras_of(log, [name])[name].camera
+    camera = default_camera(log) if name is None else cameras_of(log, [name])[name].camera
     return FilmCamera(camera, style.size, marks=True)
 
 
-def _default_camera(log: Log) -> str | Viewpoint:
-    """The camera ``default``, or a front view."""
+def default_camera(log: RecordedLog) -> str | Viewpoint:
+    """The camera of a log's films: ``default`` of its scene if it exists, else a front view."""
     model = log.model
     if _DEFAULT_CAMERA in [model.camera(i).name for i in range(model.ncam)]:
         return _DEFAULT_CAMERA

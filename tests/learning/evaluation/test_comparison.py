@@ -212,7 +212,8 @@ def test_the_folder_of_a_sweep_is_its_trainings(make_run, tmp_path, capsys):
     [
         ([0.0, 0.0], True, (-0.05, 1.05)),
         ([0.2, 0.9], True, (-0.05, 1.05)),
-        ([300.0, 300.0001], False, (291.75, 308.25)),  # at least 5 % high, and a margin
+        ([300.0, 306.0], False, (294.75, 311.25)),  # at least 5 % high, and a margin
+        ([300.0, 300.0001], False, (-15.0, 315.0)),  # a constant, from 0
         ([0.0], False, (-0.55, 0.55)),
         ([-10.0, 10.0], False, (-11.0, 11.0)),
     ],

@@ -1,4 +1,4 @@
-"""`embodichain report`: one HTML page about a run, with its pictures and curves inside."""
+"""`embodichain report`: one HTML page about a run or a folder of runs, with all pictures inside."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from embodichain.utils.errors import ConfigError
 __all__ = ["command"]
 
 _PAGE = "report.html"
+_INDEX = "index.html"
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,8 @@ class ReportOptions:
     """What was typed after `report`.
 
     Attributes:
-        run: The folder of a run, a training, an evaluation or a sweep, or ``last``.
-        output: Path of a new page; None replaces `report.html` of the folder.
+        run: The folder of a run or a sweep, a folder with runs below it, or ``last``.
+        output: Path of a new page; None replaces that of the folder.
         quiet: Print no progress and no report.
         json: Print the result as one JSON object.
     """
@@ -39,6 +40,7 @@ class ReportOptions:
 @verb(
     "report",
     ("report last", "of the newest run, into its folder"),
+    ("report outputs", "an index of all runs: sort, search, compare two"),
     ("report outputs/latest -o reach.html", "into a file to send around"),
     options=ReportOptions,
     quiet=True,
@@ -48,26 +50,25 @@ class ReportOptions:
 def command(options: ReportOptions) -> None:
     """Write a page about a run, a training, an evaluation or a sweep: RUN is its folder, or `last`.
 
-    `report.html` of the run's folder is replaced, a file named by --output is not.
+    Of a folder with runs below it, such as `outputs`, it is an index of these, `index.html`.
+    The page in the folder is replaced, a file named by --output is not.
 
     Raises:
         ConfigError: If there is no such run, a file of it is damaged, or the page cannot be
             written.
     """
-    from embodichain.cli.results.report_page import page_of
-    from embodichain.cli.sweeps.sweep_report import page_of_sweep
-    from embodichain.config.run_folder import CONFIG, SWEEP
     from embodichain.utils.system.atomic import write_text
 
     folder = _find_folder(options.run)
+    kind = _kind_of_page(folder)
     is_new_file = options.output is not None
-    out = folder / _PAGE if options.output is None else Path(options.output)
+    if options.output is not None:
+        out = Path(options.output)
+    else:
+        out = folder / (_INDEX if kind == "index" else _PAGE)
     if is_new_file and os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")
-    if not (folder / CONFIG).is_file() and (folder / SWEEP).is_file():
-        text = page_of_sweep(folder)
-    else:
-        text = page_of(folder)
+    text = _page(folder, kind, out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_text(out, text, new=is_new_file)
@@ -78,6 +79,35 @@ def command(options: ReportOptions) -> None:
         print_json({"file": str(out), "bytes": num_bytes})
     elif not options.quiet:
         sys.stdout.write(f"{out}: {num_bytes / 1e6:.2f} MB\n")
+
+
+def _kind_of_page(folder: Path) -> str:
+    """What the page of a folder is of: a ``run``, a ``sweep``, or an ``index`` of runs.
+
+    A sweep without a finished training has nothing to compare: its page is the index of its jobs.
+    """
+    from embodichain.cli.sweeps.sweep_report import has_finished_training
+    from embodichain.config.run_folder import CONFIG, SWEEP
+
+    if (folder / CONFIG).is_file():
+        return "run"
+    if (folder / SWEEP).is_file() and has_finished_training(folder):
+        return "sweep"
+    return "index"
+
+
+def _page(folder: Path, kind: str, out: Path) -> str:
+    if kind == "run":
+        from embodichain.cli.pages.run_page import page_of_run
+
+        return page_of_run(folder)
+    if kind == "sweep":
+        from embodichain.cli.sweeps.sweep_report import page_of_sweep
+
+        return page_of_sweep(folder)
+    from embodichain.cli.pages.runs_index import page_of_runs
+
+    return page_of_runs(folder, out)
 
 
 def _find_folder(name: str) -> Path:

@@ -1,0 +1,430 @@
+"""`page_of_run`: the page of a run, a training, an evaluation or a collection.
+
+Pictures, films and curves are in the page itself; it loads nothing. Sections without content are
+left out.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from markupsafe import Markup
+
+from embodichain.cli.pages.curves import log_charts, training_charts
+from embodichain.cli.pages.episodes import PlayedEpisode, counted_episodes, read_episodes
+from embodichain.cli.pages.figures import ValueGroup, bar, distribution
+from embodichain.cli.pages.headline import headline
+from embodichain.cli.pages.page import data_url, render_page
+from embodichain.cli.pages.run_record import (
+    RunRecord,
+    named_damage,
+    read_json,
+    read_record,
+    read_text,
+)
+from embodichain.cli.pages.stills import Still, draw_ends, draw_strip
+from embodichain.cli.results.summaries import result_rows
+from embodichain.cli.terminal.output import number
+from embodichain.config.composition.locate import display_path
+from embodichain.config.run_folder import CONFIG, SUMMARY
+from embodichain.utils.env_text import recorded_texts, shown
+from embodichain.utils.errors import EmbodichainError
+
+if TYPE_CHECKING:
+    from embodichain.recording.read.summary import LogSummary
+
+__all__ = ["fact_rows", "page_of_run", "strip_of"]
+
+_MOST_EPISODES = 1000
+"""Rows of the folded table."""
+_MOST_STILLS = 8
+"""Pictures of failed episodes."""
+_MOST_MESSAGES = 300
+_LARGEST_FILM = 64 * 2**20
+"""Bytes of films in the page; a third is added by their encoding."""
+_FILMS = {".mp4": "video/mp4", ".gif": "image/gif"}
+"""Suffix -> type of a film."""
+_OUTCOMES = ((True, "success", "good"), (False, "no success", "bad"), (None, "", "plain"))
+"""Success of an episode, its legend, and its colour."""
+_PICTURE_SIZE = (1280, 960)
+Rows = list[tuple[str, str]]
+
+
+def page_of_run(folder: Path) -> str:
+    """Return the report of a run as HTML.
+
+    Args:
+        folder: The run's folder.
+
+    Raises:
+        ConfigError: If it is not a run's folder, or a file in it is damaged.
+    """
+    with named_damage(folder):
+        return render_page("run.html.tmpl", _context(read_record(folder)))
+
+
+def _context(record: RunRecord) -> dict[str, Any]:
+    """The variables of the template."""
+    folder = record.folder
+    notes = _notes(record)
+    log = _log(record, notes)
+    episodes = read_episodes(record, log)
+    films = _films(folder, notes)
+    pictures_notes: list[str] = []
+    strip, strip_caption = ([], "") if films else strip_of(record, episodes, pictures_notes)
+    stills, stills_caption = _failed_stills(episodes, pictures_notes)
+    return {
+        "title": f"{record.task}: {record.kind}",
+        "record": record,
+        "folder": display_path(folder),
+        "begun": f"{record.begun:%Y-%m-%d %H:%M}",
+        "description": _description(record.config),
+        "notes": notes,
+        "picture_notes": list(dict.fromkeys(pictures_notes)),
+        "results": headline(record, episodes),
+        "films": films,
+        "strip": strip,
+        "strip_caption": strip_caption,
+        "charts": _charts(record, log, notes),
+        "distributions": _distributions(counted_episodes(episodes)),
+        "stills": stills,
+        "stills_caption": stills_caption,
+        "episodes": _episode_rows(episodes[:_MOST_EPISODES]),
+        "num_episodes": len(episodes),
+        "rewards": _rewards(record.outcome),
+        "rows": fact_rows(result_rows(record.summary, record.evaluation)),
+        "training": _training(record),
+        "commands": _commands(record, has_log=log is not None),
+        "working_dir": _other_working_dir(record),
+        "log": _log_facts(log),
+        "config": read_text(folder / CONFIG),
+        "overrides": "\n".join(record.overrides),
+        "messages": "\n".join(read_text(folder / "run.log").splitlines()[-_MOST_MESSAGES:]),
+        "versions": _versions(folder),
+    }
+
+
+def _notes(record: RunRecord) -> list[str]:
+    """How the run failed, and texts of its config that came from the environment."""
+    notes = []
+    if not record.outcome:
+        notes.append(f"no {SUMMARY}: the run did not end, or was killed")
+    if "error" in record.outcome:
+        notes.append(f"failed: {record.outcome['error']}")
+    for path, text in recorded_texts(record.written_config):
+        notes.append(f"from a variable of the environment: {path}: {shown(text)}")
+    return notes
+
+
+def _description(config: Mapping[str, Any]) -> str:
+    task = config.get("task")
+    return str(task.get("description") or "") if isinstance(task, dict) else ""
+
+
+def _log(record: RunRecord, notes: list[str]) -> LogSummary | None:
+    """The summary of a log, if there is one; adds warnings about it."""
+    if record.log is None:
+        return None
+    from embodichain.recording import inspect
+
+    try:
+        summary = inspect(record.log)
+    except EmbodichainError as error:
+        notes.append(f"the log cannot be read: {error}")
+        return None
+    notes += [f"log: {warning}" for warning in summary.warnings]
+    return summary
+
+
+def fact_rows(rows: Iterable[tuple[str, Any]]) -> Rows:
+    """Return names and texts of the values that say something: neither None nor empty."""
+    return [(name, number(value)) for name, value in rows if value not in (None, "", [], (), {})]
+
+
+# -- pictures --------------------------------------------------------------------------------------
+
+
+def _films(folder: Path, notes: list[str]) -> list[tuple[str, str]]:
+    """Name and address of each film; adds notes about films that are too large."""
+    films = []
+    total = 0
+    paths = [path for path in folder.iterdir() if path.suffix in _FILMS]
+    for path in sorted(paths):
+        if path.name.startswith("."):  # not complete
+            continue
+        total += path.stat().st_size
+        if total > _LARGEST_FILM:
+            notes.append(f"{path.name} is not in the page: films may have {_LARGEST_FILM:,} bytes")
+        else:
+            films.append((path.name, data_url(path.read_bytes(), _FILMS[path.suffix])))
+    return films
+
+
+def strip_of(
+    record: RunRecord, episodes: Sequence[PlayedEpisode], notes: list[str]
+) -> tuple[list[Still], str]:
+    """Draw an episode of a run.
+
+    Without a log it is the picture of the start, if that was drawn.
+
+    Args:
+        record: The run.
+        episodes: Its episodes; the first success among them is drawn.
+        notes: Why there are no pictures is added to these.
+
+    Returns:
+        Pictures, and what they show.
+    """
+    episode = _shown_episode(record, episodes, notes)
+    if episode is not None:
+        try:
+            stills = draw_strip(episode)
+        except EmbodichainError as error:
+            notes.append(f"no pictures of the log: {error}")
+        else:
+            if stills:
+                return stills, _strip_caption(episode)
+    start = record.folder / "scene.png"
+    if start.is_file():
+        source = data_url(start.read_bytes(), "image/png")
+        width, height = _PICTURE_SIZE
+        return [Still(source, "the scene at the start", width=width, height=height)], ""
+    if record.log is None:
+        notes.append("no pictures: the run has no log, film or picture of its start")
+    return [], ""
+
+
+def _strip_caption(episode: PlayedEpisode) -> str:
+    ends = ["success"] if episode.success else []
+    if episode.end and episode.end != "success":
+        ends.append(episode.end)
+    end = f": {', '.join(ends)}" if ends else ""
+    return f"{episode.label}, {episode.length} control steps{end}"
+
+
+def _shown_episode(
+    record: RunRecord, episodes: Sequence[PlayedEpisode], notes: list[str]
+) -> PlayedEpisode | None:
+    """A success if there is one, else the first episode; of a log without ends what it has."""
+    of_log = [episode for episode in counted_episodes(episodes) if episode.log is not None]
+    successes = [episode for episode in of_log if episode.success]
+    if successes or of_log:
+        return (successes or of_log)[0]
+    if record.log is None:
+        return None
+    from embodichain import recording
+
+    try:
+        with recording.open(record.log) as log:
+            unfinished = log.episodes[0] if log.episodes else None
+    except EmbodichainError as error:
+        notes.append(f"no pictures of the log: {error}")
+        return None
+    if unfinished is None:
+        notes.append("no pictures of the log: it has no step that could be drawn")
+        return None
+    return PlayedEpisode(
+        env=unfinished.env,
+        episode=unfinished.episode,
+        length=unfinished.steps,
+        total_reward=unfinished.total_reward,
+        success=None,
+        end="" if unfinished.terminated or unfinished.truncated else "did not end",
+        log=record.log,
+        first_step=unfinished.first_step,
+    )
+
+
+def _failed_stills(episodes: Sequence[PlayedEpisode], notes: list[str]) -> tuple[list[Still], str]:
+    """The last moment of failed episodes, at least one of each kind, and how many there are."""
+    failed = [episode for episode in counted_episodes(episodes) if episode.has_failed]
+    of_log = [episode for episode in failed if episode.log is not None]
+    if not of_log:
+        return [], ""
+    first_of_kind = {episode.end: episode for episode in reversed(of_log)}.values()
+    others = [episode for episode in of_log if episode not in first_of_kind]
+    chosen = [*reversed(first_of_kind), *others][:_MOST_STILLS]
+    try:
+        stills = draw_ends(sorted(chosen, key=of_log.index))
+    except EmbodichainError as error:
+        notes.append(f"no pictures of failed episodes: {error}")
+        return [], ""
+    share = f"{len(failed):,} of {len(counted_episodes(episodes)):,} episodes failed"
+    if len(stills) < len(failed):
+        share += f"; {len(stills)} of them"
+    return stills, f"{share}, each at its last control step"
+
+
+# -- figures ---------------------------------------------------------------------------------------
+
+
+def _charts(record: RunRecord, log: LogSummary | None, notes: list[str]) -> list[Markup]:
+    """Curves of a training, or else rewards of the log."""
+    from embodichain.recording.format.log_error import LogError
+
+    charts = training_charts(record.folder)
+    if charts or log is None:
+        return charts
+    try:
+        return log_charts(log)
+    except LogError as error:  # no rewards are in the log, or it is damaged
+        notes.append(f"no curves: {error}")
+        return []
+
+
+def _distributions(episodes: Sequence[PlayedEpisode]) -> list[Markup]:
+    """How returns and lengths are distributed, by success if the task has one."""
+    if len(episodes) < 2:
+        return []
+    figures = []
+    for title, column in (("return", "total_reward"), ("length in control steps", "length")):
+        groups = [
+            ValueGroup(
+                values=[getattr(e, column) for e in episodes if e.success == success],
+                label=label,
+                color=color,
+            )
+            for success, label, color in _OUTCOMES
+        ]
+        if column == "total_reward" and not any(episode.total_reward for episode in episodes):
+            continue  # a task without rewards
+        figures.append(distribution(title, groups, note=f"{len(episodes):,} episodes"))
+    return figures
+
+
+def _rewards(outcome: Mapping[str, Any]) -> list[tuple[str, str, Markup]]:
+    """Name, value and bar of each reward term."""
+    evaluation = outcome.get("eval") or {}
+    rewards = outcome.get("rewards") or evaluation.get("rewards") or {}
+    values = {name: float(value) for name, value in rewards.items() if value is not None}
+    largest = max(map(abs, values.values()), default=0.0)
+    is_signed = any(value < 0 for value in values.values())
+    return [
+        (name, number(value), bar(value, largest, is_signed=is_signed))
+        for name, value in values.items()
+    ]
+
+
+# -- tables ----------------------------------------------------------------------------------------
+
+
+def _episode_rows(episodes: Sequence[PlayedEpisode]) -> list[dict[str, str]]:
+    """The cells of episodes; columns that none of them has are left out."""
+    rows = []
+    for episode in episodes:
+        cells = {
+            "env": episode.env,
+            "episode": episode.episode,
+            "steps": episode.length,
+            "return": episode.total_reward,
+            "success": episode.success,
+            "ended by": episode.end,
+            "counted": episode.counted,
+            "last step in the log": episode.last_step if episode.log is not None else None,
+            "drawn": _drawn_text(episode.drawn),
+        }
+        rows.append({name: "" if cell is None else number(cell) for name, cell in cells.items()})
+    if not rows:
+        return []
+    columns = [name for name in rows[0] if any(row[name] for row in rows)]
+    return [{name: row[name] for name in columns} for row in rows]
+
+
+def _drawn_text(drawn: Mapping[str, Sequence[float]]) -> str:
+    """``place_cube.position 0.58 0.14 0.05; friction.friction 0.9``."""
+    draws = []
+    for name, numbers in drawn.items():
+        values = " ".join(f"{value:.4g}" for value in numbers)
+        draws.append(f"{name} {values}")
+    return "; ".join(draws)
+
+
+def _training(record: RunRecord) -> dict[str, Any]:
+    """Where the policy of a run was trained, with that run's results and curves.
+
+    Empty if the policy is not a file of another training's folder.
+    """
+    folder = record.policy_run
+    if folder is None:
+        return {}
+    training = read_record(folder)
+    if "algo" not in training.summary:
+        return {}
+    return {
+        "folder": display_path(folder),
+        "rows": fact_rows(result_rows(training.summary, {})),
+        "charts": training_charts(folder),
+        "command": f"embodichain report {shlex.quote(display_path(folder))}",
+    }
+
+
+def _versions(folder: Path) -> Rows:
+    return [
+        (package, str(version))
+        for package, version in read_json(folder / "versions.json").items()
+        if version
+    ]
+
+
+def _log_facts(log: LogSummary | None) -> Rows:
+    if log is None:
+        return []
+    header = log.header
+    ended = f"{len(log.episodes):,}"
+    if log.counted is not None:
+        counting = "the first of each environment" if header.quota else "those that were needed"
+        ended += f", of which {log.counted:,} count: {counting}"
+    verifiable = "yes"
+    if header.unverifiable:
+        verifiable = f"no: {header.unverifiable}"
+    return [
+        ("file", f"{log.path.name}, {log.nbytes / 1e6:.2f} MB"),
+        ("recorded with", header.recorded_with),
+        ("environments", f"{header.num_envs}, seed {header.seed}"),
+        ("steps", f"{log.steps:,} control steps = {log.duration_s:.2f} s simulated"),
+        ("episodes that ended", ended),
+        ("verifiable", verifiable),
+    ]
+
+
+# -- commands --------------------------------------------------------------------------------------
+
+
+def _other_working_dir(record: RunRecord) -> str:
+    """Where the command was typed, unless that is here."""
+    if record.working_dir is None or record.working_dir == Path.cwd():
+        return ""
+    return str(record.working_dir)
+
+
+def _commands(record: RunRecord, *, has_log: bool) -> list[tuple[str, str]]:
+    """Descriptions and commands that repeat, replay or continue the run."""
+    run = shlex.quote(display_path(record.folder))
+    commands = []
+    typed = shlex.join(record.command)
+    if typed:
+        commands.append(("As it was run", typed))
+        has_seed = any(word.startswith("seed=") for word in record.command)
+        # The config of an evaluation has its environments' seed, which is not the one to type.
+        source = record.evaluation if record.kind == "evaluation" else record.config
+        if not has_seed and source.get("seed") is not None:
+            with_seed = f"{typed} seed={source['seed']}"
+            commands.append(("The same random numbers again", with_seed))
+    if record.kind == "collection":
+        commands.append(("Continue the collection", f"embodichain collect resume={run}"))
+    if record.kind == "training":
+        task = shlex.quote(record.task)
+        commands += [
+            ("Evaluate the policy", f"embodichain eval {run}"),
+            ("Play the policy", f"embodichain run task={task} policy={run}"),
+        ]
+    if has_log:
+        commands += [
+            ("Simulate the log again and compare every bit", f"embodichain replay {run} --verify"),
+            ("Play the log in a browser", f"embodichain replay {run} --view web"),
+            ("Open the log in Foxglove or Lichtblick", f"embodichain view {run}"),
+        ]
+    return commands
