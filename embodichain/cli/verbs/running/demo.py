@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-import time
 import webbrowser
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -23,6 +22,7 @@ from embodichain.cli.words import split_overrides
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 if TYPE_CHECKING:
+    from embodichain.learning.episode_statistics import EpisodeStatistics
     from embodichain.recording.viewers.web import WebView
 
 __all__ = ["command"]
@@ -32,9 +32,6 @@ _SEED = "1"
 _DEFAULTS = {"num_envs": "1", "seed": _SEED}
 _PAGE_DEFAULTS = {"viewer": "web", "record": "none", "scene_png": "false", "episodes": "100"}
 _FILM_DEFAULTS = {"video.size": "[400,300]", "scene_png": "false", "episodes": "1"}
-_BROWSER_TIMEOUT_S = 5.0
-"""Seconds without a browser after which the page is closed."""
-_POLL_S = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,39 +142,40 @@ class _Page:
         env = make_env(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
         try:
             policy = policy_of(job.root, env)
-            view = job.attach_viewer(env, policy)
+            shown = job.attach_viewer(env, policy)
+            watching = job.watching(shown)
             obs, _ = env.reset()
             job.begin()
-            if view is None or self._wait_for_browser(job, view):
-                last_seen = time.monotonic()
-                for _ in play(env, policy, obs, counted):
-                    now = time.monotonic()
-                    if view is None or view.watched:
-                        last_seen = now
-                    if job.stop.is_stopped() or now - last_seen > _BROWSER_TIMEOUT_S:
-                        break
+            if self._opens_browser and shown is not None and shown.page is not None:
+                self._open_browser(shown.page)
+            if watching is not None:
+                watching.wait()
+            steps = iter(()) if job.stop.is_stopped() else play(env, policy, obs, counted)
+            for _ in steps:
+                is_over = watching is not None and not watching.hold("that ends the demo")
+                if is_over or job.stop.is_stopped():
+                    break
+            _print_result(job, counted)
+            if watching is not None:
+                watching.stay()
         finally:
             env.close()
-        task = job.resolved.task_name
-        success = counted.mean("success")
-        if job.root.json:
-            print_json({"task": task, "episodes": counted.episodes, "success": success})
-        elif not job.quiet:
-            share = None if success is None else f"{success:.0%}"
-            print_facts(task, [("episodes", counted.episodes), ("success", share)])
-        return success
+        return counted.mean("success")
 
-    def _wait_for_browser(self, job: Job, view: WebView) -> bool:
-        """Wait until a browser shows the page; returns False if the run was stopped."""
-        url = view.url
-        reason = ""
-        if self._opens_browser:
-            # Other users can read a browser's command line: its URL opens one page, once.
-            url = view.url_once
-            if not webbrowser.open(url):
-                reason = "no browser could be opened here; "
-        if not job.root.quiet:
-            sys.stderr.write(f"{reason}waiting for a browser at {url} (Ctrl-C ends the demo)\n")
-        while not view.watched and not job.stop.is_stopped():
-            time.sleep(_POLL_S)
-        return view.watched
+    def _open_browser(self, page: WebView) -> None:
+        """Open the page in a browser of this machine."""
+        # Other users can read a browser's command line: its URL opens one page, once.
+        if not webbrowser.open(page.url_once):
+            sys.stderr.write("no browser could be opened here\n")
+
+
+def _print_result(job: Job, counted: EpisodeStatistics) -> None:
+    """Print how many episodes were played, and how many of them were solved."""
+    task = job.resolved.task_name
+    success = counted.mean("success")
+    if job.root.json:
+        print_json({"task": task, "episodes": counted.episodes, "success": success})
+    elif not job.quiet:
+        share = None if success is None else f"{success:.0%}"
+        print_facts(task, [("episodes", counted.episodes), ("success", share)])
+    sys.stdout.flush()
