@@ -97,6 +97,7 @@ def _simulate(job: Job, run: ExitStack) -> _Simulated:
     """
     from embodichain.config.environments.factory import make_batch
     from embodichain.learning.checkpoints.curriculum_stage import hold_at_stage
+    from embodichain.recording import McapRecorder
 
     root = job.root
     env = make_batch(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
@@ -115,7 +116,7 @@ def _simulate(job: Job, run: ExitStack) -> _Simulated:
         if watching is not None:
             watching.wait()
         results = _roll_out(env, policy, obs, job, watching)
-        if watching is not None and recorder is not None:
+        if watching is not None and isinstance(recorder, McapRecorder):
             recorder.close()  # the viewer stays, and who looks may end this process at any time
     finally:
         if watching is None:

@@ -244,6 +244,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     """Studio's web viewer, which listens on `_host`; here that is the configured address."""
 
     guard: Guard
+    _http_sock: socket.socket
     _tcp_sock: socket.socket
 
     def __init__(
