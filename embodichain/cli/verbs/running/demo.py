@@ -16,7 +16,7 @@ import click
 from embodichain.cli.jobs.job import Job, Work, execute, output_overrides, policy_of
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.jobs.work.run_job import run_job
-from embodichain.cli.terminal.output import print_facts, print_json
+from embodichain.cli.terminal.output import print_facts, print_json, print_table
 from embodichain.cli.verb import OverrideOptions, command_line, overrides, verb
 from embodichain.cli.words import split_overrides
 from embodichain.utils.errors import ConfigError, Problem, RenderError
@@ -28,6 +28,12 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _TASK = "pick_place"
+_DEMOS = {
+    _TASK: "an arm with a gripper puts a cube on a stand; its expert plans the motions",
+    "push_cube": "an arm pushes a cube to a mark; a trained policy that ships",
+    "cart_pole_swing_up": "a pole is swung up and balanced; a trained policy that ships",
+}
+"""Tasks to begin with, and what is to be seen; none needs the network or an extra."""
 _SEED = "1"
 _DEFAULTS = {"num_envs": "1", "seed": _SEED}
 _PAGE_DEFAULTS = {"viewer": "web", "record": "none", "scene_png": "false", "episodes": "100"}
@@ -41,15 +47,18 @@ class DemoOptions(OverrideOptions):
     Attributes:
         web: Show a page.
         film: Write a film.
+        lists: List demos.
     """
 
     web: bool
     film: bool
+    lists: bool
 
 
 @verb(
     "demo",
     ("demo", "an arm puts a cube on a stand, in the browser"),
+    ("demo --list", "three to begin with"),
     ("demo push_cube", "a trained policy that ships: embodichain list policies"),
     ("demo --film", "a film; also where there is no display"),
     ("demo --web viewer.port=8090", "the page, for a browser of another machine (ssh -L)"),
@@ -61,8 +70,12 @@ class DemoOptions(OverrideOptions):
 @overrides("[TASK] [KEY=VALUE]...")
 @click.option("--web", is_flag=True, help="A page. Default, if there is a display.")
 @click.option("--film", is_flag=True, help="A film in a new run folder. Default without a display.")
+@click.option("--list", "lists", is_flag=True, help="List three demos.")
 def command(options: DemoOptions) -> None:
     """Show a task that is solved."""
+    if options.lists:
+        _print_demos(options)
+        return
     from embodichain.config.resolved import resolve
     from embodichain.utils.system.display import has_display
 
@@ -95,6 +108,28 @@ def command(options: DemoOptions) -> None:
         execute(resolved, work, command_line())
     except RenderError as error:
         raise RenderError(f"{error}\n--web shows it in a browser, without OpenGL here") from error
+
+
+def _print_demos(options: DemoOptions) -> None:
+    """Print the demos to begin with.
+
+    Raises:
+        ConfigError: Something else was typed too.
+    """
+    if options.words or options.web or options.film:
+        raise ConfigError("--list lists the demos, and shows none: type it alone")
+    demos = [
+        {"task": task, "shows": shows, "command": f"embodichain demo {task}"}
+        for task, shows in _DEMOS.items()
+    ]
+    if options.json:
+        print_json(demos)
+        return
+    print_table("demos", demos)
+    sys.stdout.write(
+        "None needs the network. Other tasks with an expert or a policy that ships "
+        "(embodichain list policies) are shown too.\n"
+    )
 
 
 def _choose_policy(lines: list[str]) -> str:
