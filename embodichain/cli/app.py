@@ -22,7 +22,7 @@ from click.shell_completion import (
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.plain_text import degrading_text
 from embodichain.cli.verb import EXIT_CODES, VERBS, Verb
-from embodichain.cli.words import ROOT_KEYS
+from embodichain.cli.words import ADVICE_ELSEWHERE, NAMES_ELSEWHERE, ROOT_KEYS
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -279,6 +279,10 @@ def _option_message(error: click.NoSuchOption, arguments: list[str]) -> str:
         return f"{message} Values are given as key=value, without dashes."
     name = error.option_name.removeprefix("--")
     key = name.replace("-", "_")
+    advice = ADVICE_ELSEWHERE.get(key)
+    if advice is not None:
+        return f"there is no option --{name}: {advice}"
+    key = NAMES_ELSEWHERE.get(key, key)
     if key not in ROOT_KEYS and "." not in key:
         return message
     value = _value_of_option(error.option_name, arguments) or _example_value(key)

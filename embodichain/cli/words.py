@@ -9,7 +9,15 @@ from pathlib import Path
 
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["EVERYDAY_KEYS", "ROOT_KEYS", "log_of", "pair", "split_overrides"]
+__all__ = [
+    "ADVICE_ELSEWHERE",
+    "EVERYDAY_KEYS",
+    "NAMES_ELSEWHERE",
+    "ROOT_KEYS",
+    "log_of",
+    "pair",
+    "split_overrides",
+]
 
 EVERYDAY_KEYS = (
     "task",
@@ -38,6 +46,26 @@ ROOT_KEYS = (
     "experiment",
 )
 """Keys that are flags of other tools."""
+NAMES_ELSEWHERE = {
+    "env": "task",
+    "env_id": "task",
+    "n_envs": "num_envs",
+    "nenvs": "num_envs",
+    "num_env": "num_envs",
+    "timesteps": "total_timesteps",
+    "total_steps": "total_timesteps",
+    "num_timesteps": "total_timesteps",
+}
+"""Flags of other tools, and the key that is the same here."""
+ADVICE_ELSEWHERE = {
+    "headless": "leave it out, only viewer=native opens a window",
+    "max_iterations": "write total_timesteps=N, the steps of all environments together",
+}
+"""Flags of other tools that no key is the same as, and what to do instead."""
+
+
+_ENTRY = re.compile(r"\{?\w+:")
+"""The beginning of a map's entry; ``{`` stays where braces are within braces."""
 
 
 def split_overrides(words: tuple[str, ...]) -> list[str]:
@@ -47,6 +75,7 @@ def split_overrides(words: tuple[str, ...]) -> list[str]:
         ConfigError: More than one bare word, or a map or list that the shell has split.
     """
     _check_quotes(words)
+    _check_braces(words)
     if "=" in words:
         index = words.index("=")
         assignment = "".join(words[max(index - 1, 0) : index + 2])
@@ -90,6 +119,22 @@ def _check_quotes(words: tuple[str, ...]) -> None:
                 message += f"; a new entry is +{key}=..."
             raise ConfigError(message)
         raise ConfigError(f"{word!r} has a bracket without its other one")
+
+
+def _check_braces(words: tuple[str, ...]) -> None:
+    """Refuse ``KEY={func:NAME,weight:2}`` without quotes, of which bash makes a word an entry."""
+    for word, following in itertools.pairwise(words):
+        key, separator, value = word.partition("=")
+        other_key, _, other_value = following.partition("=")
+        is_same_key = bool(separator) and key == other_key
+        if not (is_same_key and _ENTRY.match(value) and _ENTRY.match(other_value)):
+            continue
+        entries = [word.partition("=")[2] for word in words if word.startswith(f"{key}=")]
+        whole = "..."
+        if not any(entry.startswith("{") for entry in entries):  # else braces within braces
+            whole = ", ".join(entry.replace(":", ": ", 1) for entry in entries)
+        assignment = _quoted(f"{key}={{{whole}}}")
+        raise ConfigError(f"your shell has split the braces: put quotes around it, {assignment}")
 
 
 def _quoted(word: str) -> str:

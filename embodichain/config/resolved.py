@@ -74,7 +74,9 @@ _PATHS = ("output_dir", "policy", "dataset", "resume")
 """Keys of the root whose texts are paths, which a summary names."""
 _OF_ROOT = ("num_envs",)
 """Keys of the root that the simulation names, and nothing else has."""
-_OF_MAKE = ("task", "num_envs", "overrides", "seed", "config_dir")
+_OF_ENV = ("sim", "task")
+"""Sections of the root that an environment reads."""
+_OF_MAKE = ("task", "num_envs", "overrides", "device", "seed", "config_dir")
 """Arguments of `embodichain.make`, for messages."""
 
 
@@ -584,21 +586,30 @@ def build_env(resolved: Resolved, compiled_scene: CompiledScene | None, **kwargs
     """
     cfg = resolved.env_cfg
     if cfg.id is not None:
+        from embodichain.lab.gym.envs.base_env import BaseEnv
         from embodichain.lab.gym.utils import registration
 
         if compiled_scene is not None:  # other classes need not know the argument
             kwargs["compiled_scene"] = compiled_scene
         with resolved.locating("task"):
-            return registration.make(_registered_id(cfg), cfg=cfg, **kwargs)
+            env_of_class = registration.make(_registered_id(cfg), cfg=cfg, **kwargs)
+        if isinstance(env_of_class, BaseEnv):  # the class may be any callable
+            env_of_class.task_name = resolved.task_name
+        return env_of_class
     for key in kwargs:
         if key not in _KWARGS:
             known = [*_OF_MAKE, *_KWARGS]
             hint = did_you_mean(key, known)
+            if key in resolved.tree:
+                hint = f" {key} is a key of `embodichain run`; the environment does not read it."
+                if key in _OF_ENV:
+                    hint = f" The config's key is set by overrides=['{key}.NAME=VALUE']."
             raise TypeError(f"unknown argument {key!r}; there are: {', '.join(known)}.{hint}")
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
     with resolved.locating("task"):
         env = BaseEnv(cfg, compiled_scene=compiled_scene, **kwargs)
+        env.task_name = resolved.task_name
         if cfg.expert is not None:
             from embodichain.lab.gym.expert.fingers import check_fingers
 

@@ -28,6 +28,28 @@ _EXPECTED = "; expected key=value, +key=value or ~key"
             "without dashes.",
         ),
         (
+            ["run", "--headless"],
+            "there is no option --headless: leave it out, only viewer=native opens a window",
+        ),
+        (
+            ["train", "--n-envs", "4"],
+            "there is no option --n-envs: write num_envs=4, without dashes",
+        ),
+        (
+            ["train", "--max_iterations=9"],
+            "there is no option --max_iterations: write "
+            "total_timesteps=N, the steps of all environments together",
+        ),
+        (
+            ["run", "reach", "+task.rewards.new=func:distance", "+task.rewards.new=weight:2"],
+            "your shell has split the braces: put quotes around it, "
+            "'+task.rewards.new={func: distance, weight: 2}'",
+        ),
+        (
+            ["run", "reach", "task.actions={all:func:x}", "task.actions={all:of:robot}"],
+            "your shell has split the braces: put quotes around it, 'task.actions={...}'",
+        ),
+        (
             ["--task", "reach"],
             "a verb comes first: embodichain run task=reach, without dashes",
         ),

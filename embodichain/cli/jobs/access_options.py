@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from embodichain.utils.errors import ConfigError, Problem
+
 if TYPE_CHECKING:
     from embodichain.utils.system.access import Access
 
-__all__ = ["AccessOptions", "access_options"]
+__all__ = ["AccessOptions", "access_options", "naming_flags"]
 
+_PORT = "viewer.port"
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
@@ -50,6 +54,21 @@ def access_options(of: str) -> Callable[[_Command], _Command]:
         return command
 
     return add
+
+
+@contextmanager
+def naming_flags() -> Iterator[None]:
+    """Name the flag `--port` in a mistake of `viewer.port`: these verbs take no keys."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError([_with_flag(problem) for problem in error.problems]) from error
+
+
+def _with_flag(problem: Problem) -> Problem:
+    if problem.path != _PORT:
+        return problem
+    return replace(problem, path="--port", hint=problem.hint.replace(f"{_PORT}=N", "--port N"))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.unread_keys import unread_keys
+from embodichain.cli.jobs.watching import Watching
 from embodichain.cli.terminal.last import announce_last, replace_last, resolve_links
 from embodichain.cli.terminal.process import Interrupted, StopFlag, end_startup
 from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from embodichain.recording.film.filming import Filmed
     from embodichain.recording.shards.shard_logs import ShardLogs
     from embodichain.recording.viewers.showing import Shown
-    from embodichain.recording.viewers.web import WebView
 
 __all__ = [
     "FRESH",
@@ -176,7 +176,7 @@ class Job:
         *,
         realtime: bool = True,
         resets: bool = True,
-    ) -> WebView | None:
+    ) -> Shown | None:
         """Attach the viewer that the config names; closing the environment closes it.
 
         Args:
@@ -186,7 +186,7 @@ class Job:
             resets: Whether the viewer may end an episode.
 
         Returns:
-            The page, if it is one.
+            What the viewer has started, if it says so.
         """
         cfg = self.root.viewer
         teleop = None
@@ -213,17 +213,32 @@ class Job:
                 teleop=teleop,
                 view_envs=self.root.record.view_envs,
                 images=self.images,
+                title=self.resolved.task_name,
             )
         )
-        if shown is None:
-            return None
+        if shown is None or not shown.url:
+            return shown
         note = f" ({shown.how})" if shown.how else ""
         _log.info("viewer: %s%s", shown.address, note)  # without the token, which is in the URL
         # Nobody can open the viewer without the token: a URL with one is always printed.
         if not self.quiet or shown.url != shown.address:
             sys.stderr.write(f"viewer: {shown.url}{note}\n")
         warn_if_public(cfg.host, shown.url, controls=viewer.controls)
-        return shown.page
+        return shown
+
+    def watching(self, shown: Shown | None) -> Watching | None:
+        """Return what waits for those who look at the viewer; None if nobody is waited for.
+
+        A person who teleoperates is waited for by the policy, with each episode.
+
+        Args:
+            shown: What `attach_viewer` returned.
+        """
+        if shown is None or shown.audience is None or policy_name(self.root) == "teleop":
+            return None
+        return Watching(
+            shown.audience, wait_s=self.root.viewer.wait_s, stop=self.stop, quiet=self.quiet
+        )
 
     def film(self, log: str | Path | None) -> dict[str, str]:
         """Render the log to a video if `video` is set; call it after everything else is written.

@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from embodichain.config.environments.host_arrays import why_host, why_not_device, with_arrays
 from embodichain.config.gymnasium_ids import task_of_id
@@ -26,6 +26,9 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import TermError
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
+    import torch
+    from gymnasium.vector import AutoresetMode
+
     from embodichain.config.keys.schema import JobVerb
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.compiler.compile_scene import CompiledScene
@@ -40,20 +43,44 @@ def make(
     num_envs: int | None = None,
     overrides: Sequence[str] = (),
     *,
+    device: str | torch.device | None = None,
     seed: int | None = None,
+    render_mode: Literal["rgb_array"] | None = None,
+    autoreset_mode: AutoresetMode | str | None = None,
+    run_dir: str | Path | None = None,
     config_dir: str | Path | None = None,
     **kwargs: Any,
 ) -> BaseEnv:
-    """Make the environment of a YAML task.
+    """Make the environment of a YAML task: N environments, stepped together, with torch tensors.
+
+    A loop, where environments that end begin again by themselves::
+
+        import torch
+
+        import embodichain
+
+        env = embodichain.make("reach", num_envs=4, seed=1)
+        obs, info = env.reset()
+        for _ in range(100):
+            action = 2 * torch.rand(env.action_space.shape) - 1  # (4, 6), from -1 to 1
+            obs, reward, terminated, truncated, info = env.step(action)
+        print(obs["robot"]["qpos"].shape, reward.mean(), info["success"])
+        env.close()
+
+    ``embodichain list tasks`` has the names; ``embodichain show task=reach`` what is in the
+    observation, what an action does, and every key.
 
     Args:
         task: An option of the group `task`: ``reach``.
         num_envs: N; None is the task's suggestion, else 1.
-        overrides: As on the command line: ``["seed=1", "task.rewards.near.weight=2"]``.
+        overrides: As on the command line: ``["task.rewards.near.weight=2", "sim.num_threads=2"]``.
+        device: ``cpu``, or ``cuda`` for MuJoCo Warp on a GPU; None is that of the config.
         seed: The seed of every random stream; None draws one.
+        render_mode: ``rgb_array`` for `render`; None draws nothing.
+        autoreset_mode: ``SameStep`` (None), ``NextStep`` or ``Disabled``, as in Gymnasium.
+        run_dir: Folder for the states of environments that diverge; None writes none.
         config_dir: A folder with the user's groups, searched first.
-        **kwargs: For `BaseEnv`: ``render_mode``, ``autoreset_mode`` (SAME_STEP unless given),
-            ``run_dir``; also the arguments of the class that the task names.
+        **kwargs: Arguments of the class that the task names, if it names one.
 
     Returns:
         The batched torch environment (in shards: see `make_batch`). `gymnasium.make` makes one
@@ -61,6 +88,7 @@ def make(
 
     Raises:
         ConfigError: Lists every mistake in the config.
+        DeviceError: There is no such device here; says why.
         TypeError: If `overrides` is one string instead of several, or an argument is unknown.
     """
     if isinstance(overrides, str):
@@ -68,11 +96,18 @@ def make(
     lines = [f"task={task}", *overrides]
     if not any(line.lstrip("+~").startswith(("policy=", "policy.")) for line in overrides):
         lines.append("policy=random")  # the environment has none: not the task's suggestion
-    arguments = {"num_envs": num_envs, "seed": seed}
-    for key, value in arguments.items():
+    keys = {"num_envs": num_envs, "seed": seed, "device": device}
+    for key, value in keys.items():
         if value is not None:
             _check_once(key, value, overrides)
             lines.append(f"{key}={value}")
+    arguments = {
+        "render_mode": render_mode,
+        "autoreset_mode": autoreset_mode,
+        "run_dir": None if run_dir is None else Path(run_dir),
+    }
+    # A class of the user need not have them.
+    kwargs |= {name: value for name, value in arguments.items() if value is not None}
     try:
         resolved = resolve(lines, "run", config_dir)
     except ConfigError:
@@ -317,7 +352,7 @@ def _term_of(error: BaseException) -> str:
     return ""
 
 
-def _check_once(key: str, value: int, overrides: Sequence[str]) -> None:
+def _check_once(key: str, value: object, overrides: Sequence[str]) -> None:
     """Refuse a value given both as an argument and in an override, since one would be ignored."""
     for line in overrides:
         if line.partition("=")[0].lstrip("+") == key:

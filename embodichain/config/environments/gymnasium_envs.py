@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -35,7 +36,12 @@ class TaskEnv(SingleEnv):
         task: An option of the group `task`: ``reach``.
         overrides: As of `embodichain.make`.
         flatten: Whether observations are the policy's flat vector; see `SingleEnv`.
-        **kwargs: As of `embodichain.make`: ``seed``, ``config_dir``, ``render_mode``.
+        device: As of `embodichain.make`, like all further arguments.
+        seed: The seed of every random stream.
+        render_mode: ``rgb_array`` or None.
+        run_dir: Folder for the states of environments that diverge.
+        config_dir: A folder with the user's groups.
+        **kwargs: Arguments of the class that the task names.
 
     Raises:
         ConfigError: Lists every mistake in the config; or the arguments are those of a batch.
@@ -43,7 +49,17 @@ class TaskEnv(SingleEnv):
     """
 
     def __init__(
-        self, task: str, overrides: Sequence[str] = (), flatten: bool = True, **kwargs: Any
+        self,
+        task: str,
+        overrides: Sequence[str] = (),
+        flatten: bool = True,
+        *,
+        device: str | None = None,
+        seed: int | None = None,
+        render_mode: Literal["rgb_array"] | None = None,
+        run_dir: str | Path | None = None,
+        config_dir: str | Path | None = None,
+        **kwargs: Any,
     ) -> None:
         of_batches = [
             f"{key}={kwargs[key]!r}" for key in ("num_envs", "autoreset_mode") if key in kwargs
@@ -52,7 +68,18 @@ class TaskEnv(SingleEnv):
         if of_batches:
             wrong = ", ".join(of_batches)
             raise ConfigError(_BATCHES.format(wrong=wrong, id=task_id(task), task=task))
-        super().__init__(make(task, 1, [_HOST, *overrides], **kwargs), flatten)
+        env = make(
+            task,
+            1,
+            [_HOST, *overrides],
+            device=device,
+            seed=seed,
+            render_mode=render_mode,
+            run_dir=run_dir,
+            config_dir=config_dir,
+            **kwargs,
+        )
+        super().__init__(env, flatten)
         self._spec: EnvSpec | None = None
 
     @property
@@ -107,6 +134,12 @@ def make_task_vec(
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     flatten: bool = True,
     max_episode_steps: int | None = None,
+    *,
+    device: str | None = None,
+    seed: int | None = None,
+    render_mode: Literal["rgb_array"] | None = None,
+    run_dir: str | Path | None = None,
+    config_dir: str | Path | None = None,
     **kwargs: Any,
 ) -> NumpyVectorEnv:
     """Make N environments of a YAML task as Gymnasium's numpy `VectorEnv`.
@@ -118,7 +151,12 @@ def make_task_vec(
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED; see `NumpyVectorEnv`.
         flatten: Whether observations are the policy's flat vector; see `NumpyVectorEnv`.
         max_episode_steps: Time limit in control steps; None is the task's.
-        **kwargs: As of `embodichain.make`: ``seed``, ``config_dir``, ``render_mode``.
+        device: As of `embodichain.make`, like all further arguments.
+        seed: The seed of every random stream.
+        render_mode: ``rgb_array`` or None.
+        run_dir: Folder for the states of environments that diverge.
+        config_dir: A folder with the user's groups.
+        **kwargs: Arguments of the class that the task names.
 
     Raises:
         ConfigError: Lists every mistake in the config.
@@ -128,4 +166,15 @@ def make_task_vec(
     lines = [_HOST, *overrides]
     if max_episode_steps is not None:
         lines.append(f"task.max_episode_steps={max_episode_steps}")
-    return TaskVectorEnv(make(task, num_envs, lines, **kwargs), mode, flatten)
+    env = make(
+        task,
+        num_envs,
+        lines,
+        device=device,
+        seed=seed,
+        render_mode=render_mode,
+        run_dir=run_dir,
+        config_dir=config_dir,
+        **kwargs,
+    )
+    return TaskVectorEnv(env, mode, flatten)

@@ -147,6 +147,10 @@ class ViewerCfg:
     """None is the viewer's default: the first free port from 8080 (`web`) or 8765 (`foxglove`)."""
     env: Annotated[int, Field(ge=0)] = 0
     """The environment that is shown first."""
+    wait_s: Annotated[float, Field(ge=0)] = 30.0
+    """Seconds for which `run` and `demo` wait for the first person who looks, unless they are
+    started in a terminal, where they wait until a key is pressed; 0 waits nowhere, inf as long as
+    it takes."""
     token: str = "auto"
     """What a browser or viewer must know: `auto` draws it, `none` asks for none (on addresses of
     this machine alone); records have `<token>` instead of another text."""

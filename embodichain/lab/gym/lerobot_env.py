@@ -210,6 +210,8 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
 
     def render(self) -> Any:
         """Tuple of one (480, 640, 3) RGB picture per environment; None unless ``rgb_array``."""
+        if self.render_mode != "rgb_array":  # LeRobot asks all environments for pictures
+            return None
         return self._batch.render()
 
     def render_one(self, index: int) -> NDArray[np.uint8] | None:

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.describing import describe, warn_undrawn
 from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.gym.envs.observation import as_array, numpy_obs
 from embodichain.lab.gym.envs.step.episodes import AutoresetMode
@@ -93,12 +94,24 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
         return _first_row(self._to_numpy(obs))
 
     def render(self) -> NDArray[np.uint8] | None:
-        """(480, 640, 3) RGB; None unless ``rgb_array``."""
+        """(480, 640, 3) RGB; None, with a warning, without a render mode."""
+        if self.render_mode != "rgb_array":
+            warn_undrawn(self.env.task_name)
+            return None
         return self.env.render()
 
     def close(self) -> None:
         """Close the environment."""
         self.env.close()
+
+    def __repr__(self) -> str:
+        """Return task and spaces in one line."""
+        return describe(
+            type(self).__name__,
+            self.env.task_name or type(self.env).__name__,
+            action=self.action_space,
+            observation=self.observation_space,
+        )
 
 
 def _first_row(value: Any) -> Any:

@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.describing import describe, warn_undrawn
 from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.gym.envs.observation import numpy_obs
 from embodichain.lab.gym.envs.step.episodes import parse_mode
@@ -146,8 +147,9 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         return np.full(self.num_envs, value, dtype=object)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One image per environment, (480, 640, 3) RGB; None unless ``rgb_array``."""
+        """One image per environment, (480, 640, 3) RGB; None, with a warning, without a mode."""
         if self.render_mode != "rgb_array":
+            warn_undrawn(self.env.task_name)
             return None
         return tuple(self.env.sim.render(None))
 
@@ -156,9 +158,18 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         self.env.close()
 
     def __repr__(self) -> str:
-        """Return the class of the environment, its size and its mode."""
+        """Return task, size, mode and spaces in one line."""
         mode: AutoresetMode = self.metadata["autoreset_mode"]
-        return f"NumpyVectorEnv({type(self.env).__name__}, num_envs={self.num_envs}, {mode.name})"
+        return describe(
+            type(self).__name__,
+            self.env.task_name or type(self.env).__name__,
+            f"num_envs={self.num_envs}",
+            f"autoreset_mode={mode.name}",
+            action=self.single_action_space,
+            observation=self.single_observation_space,
+        )
+
+    __str__ = __repr__
 
 
 def _row(value: Any, index: int) -> Any:

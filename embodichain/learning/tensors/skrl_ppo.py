@@ -118,6 +118,8 @@ class SkrlEnv(Wrapper, gym.Env[Any, Any]):  # type: ignore[misc]
 
     def render(self, *args: Any, **kwargs: Any) -> Any:
         """Return a picture of environment 0; None unless ``render_mode`` is ``rgb_array``."""
+        if self.tensors.base.render_mode is None:  # skrl's trainers ask in each step
+            return None
         return self.tensors.base.render()
 
     def close(self) -> None:

@@ -53,10 +53,11 @@ class FoxgloveView(StepObserver):
         port: None is 8765, 0 a free one.
         view_envs: Environments to show.
         fps: Maximum sampling rate in 1/s of wall-clock time.
-        realtime: Whether steps run in real time while there are subscriptions.
+        realtime: Whether steps run in real time while a viewer is connected.
         images: Pictures; `rate` is their maximum in 1/s of wall-clock time. None: of all camera
             sensors in `view_envs`, as JPEG.
         access: Who may connect: a drawn token by default.
+        title: Name of the server, which viewers show.
 
     Attributes:
         server: The server, with its address: `url`, which has the token, and `port`.
@@ -76,12 +77,13 @@ class FoxgloveView(StepObserver):
         realtime: bool = False,
         images: ImageOptions | None = None,
         access: Access | None = None,
+        title: str = "embodichain",
     ) -> None:
         if images is None and camera_sensors(env):
             images = ImageOptions(envs=view_envs, format="jpeg")
         options = RecordOptions(view_envs=view_envs, view_hz=_EVERY_STEP, images=images)
         check_options(options, env.num_envs)
-        self.server = FoxgloveServer(host, port, access)
+        self.server = FoxgloveServer(host, port, access, title)
         weakref.finalize(self, self.server.close)  # also when Python exits
         self._envs = view_envs
         self._interval = 1.0 / fps
@@ -90,6 +92,7 @@ class FoxgloveView(StepObserver):
         self._period_ns = round(self._step_dt * 1e9)
         self._start_ns = time.time_ns()
         self._step = 0
+        self._refreshes = 0
         # When a state and pictures were sent last, and a step ended; seconds, monotonic clock.
         self._last_state = 0.0
         self._last_pictures = 0.0
@@ -104,6 +107,25 @@ class FoxgloveView(StepObserver):
     def _now(self) -> int:
         """Simulated time of the present step in ns, from when the view began."""
         return self._start_ns + self._step * self._period_ns
+
+    @property
+    def watched(self) -> bool:
+        """Whether a viewer is connected."""
+        return self.server.connected
+
+    def refresh(self, env: ObservedEnv) -> None:
+        """Show the present state to viewers that have subscribed since the last call."""
+        self._active = self.server.wanted
+        newcomers = self.server.newcomers()
+        if newcomers:
+            self._show_scenes(newcomers)
+            # Numbers below 0 are no control steps: a sample of the same step is not sent twice.
+            self._refreshes += 1
+            self._views.on_rows(-1 - self._refreshes, env.sim.engine.rows)
+
+    def finish(self) -> None:
+        """Say on ``/log`` that the run is over."""
+        self._views.say("the run is over: this is its last state")
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Note which model fields changed; they are read when they are shown."""
@@ -125,24 +147,31 @@ class FoxgloveView(StepObserver):
         self._views.declare(step)
         self._step += 1
         self._active = self.server.wanted
-        if not self._active:
-            return
+        if self._active:
+            self._show(env, step)
+        if self._realtime and self.server.connected:
+            elapsed = time.monotonic() - self._last_step
+            time.sleep(max(0.0, self._step_dt - elapsed))
+            self._last_step = time.monotonic()
+
+    def _show(self, env: ObservedEnv, step: StepRecord) -> None:
+        """Send the new state, and pictures, if they are due or have a new subscriber."""
         now = time.monotonic()
         newcomers = self.server.newcomers()
-        if newcomers:  # send their environments' scenes, which the server does not store
-            matches = [_ENV.match(topic) for topic in newcomers]
-            env_ids = {int(match[1]) for match in matches if match is not None}
-            self._views.show(env_ids or self._envs)
+        if newcomers:
+            self._show_scenes(newcomers)
         if now - self._last_state >= self._interval or newcomers:
             self._last_state = now
             self._views.on_rows(self._step, env.sim.engine.rows)
             self._views.on_step(self._step, step)
         if self._images is not None:
             self._draw(self._images, env, now, newcomers)
-        if self._realtime:
-            elapsed = time.monotonic() - self._last_step
-            time.sleep(max(0.0, self._step_dt - elapsed))
-            self._last_step = time.monotonic()
+
+    def _show_scenes(self, topics: set[str]) -> None:
+        """Send the scenes of the topics' environments, which the server does not store."""
+        matches = [_ENV.match(topic) for topic in topics]
+        env_ids = {int(match[1]) for match in matches if match is not None}
+        self._views.show(env_ids or self._envs)
 
     def _draw(self, images: Images, env: ObservedEnv, now: float, newcomers: set[str]) -> None:
         """Send pictures if they are due, or have a new subscriber."""

@@ -118,6 +118,7 @@ class FoxgloveServer:
         host: The address to listen on.
         port: None is 8765, 0 a free one.
         access: Who may connect: a drawn token by default, and no pages but those of `APPS`.
+        name: The server's name, which viewers show.
 
     Attributes:
         port: The port.
@@ -128,7 +129,14 @@ class FoxgloveServer:
         ConfigError: If the address cannot be listened on, or `access` does not fit it.
     """
 
-    def __init__(self, host: str, port: int | None = None, access: Access | None = None) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int | None = None,
+        access: Access | None = None,
+        name: str = "embodichain",
+    ) -> None:
+        self._name = name
         self._door = Door(host, access or Access(), APPS)
         self._channels: dict[str, _Channel] = {}
         self._lock = threading.Lock()
@@ -158,6 +166,11 @@ class FoxgloveServer:
     def wanted(self) -> bool:
         """Whether any channel has a subscriber."""
         return bool(self._subscribers)
+
+    @property
+    def connected(self) -> bool:
+        """Whether a viewer is connected, whatever it is subscribed to."""
+        return bool(self._clients)
 
     def is_wanted(self, topic: str) -> bool:
         """Whether a channel has a subscriber; KeyError if it was not declared."""
@@ -275,7 +288,7 @@ class FoxgloveServer:
     def _introduction(self) -> str:
         about = {
             "op": "serverInfo",
-            "name": "embodichain",
+            "name": self._name,
             "capabilities": [],
             "supportedEncodings": [],
             "metadata": {},

@@ -124,6 +124,7 @@ def play_log(
     last: int | None = None,
     speed: float = 1.0,
     stopped: Callable[[], bool] = lambda: False,
+    repeats: bool = True,
 ) -> None:
     """Play a log until the screen is closed or `stopped` returns True; start again at the end.
 
@@ -138,6 +139,7 @@ def play_log(
         last: Last control step, included; None is the last.
         speed: Multiple of simulated time.
         stopped: Called often; True ends playing.
+        repeats: Whether it starts again at the end.
 
     Raises:
         ConfigError: If there is no such environment, episode or step.
@@ -154,6 +156,8 @@ def play_log(
             env = screen.env_id
             start = span.first if last_shown is None else last_shown
             span = Stretch(env=env, first=first, last=last).span_in(log)
+        elif not repeats:
+            return
         else:
             start = span.first
             restart = time.monotonic() + _AT_THE_END

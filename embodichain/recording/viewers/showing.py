@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from embodichain.recording.viewers.web import WebView
     from embodichain.utils.system.access import Access
 
-__all__ = ["Show", "Shown", "Viewer", "Viewing", "viewer"]
+__all__ = ["Audience", "Show", "Shown", "Viewer", "Viewing", "viewer"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class Viewing:
         teleop: The policy of a person who moves the robot at the viewer, bound to `env`; or None.
         view_envs: Environments whose scenes the log contains for viewers.
         images: Pictures of cameras that the log contains; None without.
+        title: The task's name, for a page's title.
     """
 
     env: BaseEnv
@@ -54,30 +55,53 @@ class Viewing:
     teleop: Teleop | None
     view_envs: Sequence[int]
     images: ImageOptions | None
+    title: str = "embodichain"
+
+
+@dataclass(frozen=True)
+class Audience:
+    """Those who look at a viewer: a command may wait for them.
+
+    Attributes:
+        is_watched: Whether somebody looks now; cheap, called after each step.
+        what: What they look at, for messages: ``the page``, ``the window``.
+        refresh: Shows the present state again; called several times a second while nothing steps.
+        finish: Tells them that the run is over; its last state is shown until they are gone.
+        may_return: Whether they may be back in a moment, as when a page is loaded again; a window
+            that was closed stays closed.
+    """
+
+    is_watched: Callable[[], bool]
+    what: str = "the page"
+    refresh: Callable[[], None] = lambda: None
+    finish: Callable[[], None] = lambda: None
+    may_return: bool = True
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A server that a viewer has started.
+    """What a viewer has started: a server, or a window.
 
     Attributes:
-        url: Its address, with its token.
+        url: The server's address, with its token; empty if it is not a server.
         address: The address without the token, for logs.
         how: What to do with the address, if it is not a page; one sentence without its full stop.
-        page: The `WebView`, if it is one: a command may wait until somebody opens it.
+        page: The `WebView`, if it is one.
+        audience: Those who look, for whom `run` waits; None if the viewer does not know them.
     """
 
     url: str
     address: str
     how: str = ""
     page: WebView | None = None
+    audience: Audience | None = None
 
 
 class Show(Protocol):
     """Attaches a viewer to an environment; closing the environment closes it."""
 
     def __call__(self, viewing: Viewing) -> Shown | None:
-        """Attach it; return what it serves, or None if it is not a server."""
+        """Attach it; return what it has started, or None if nobody waits for it."""
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,15 @@ class WebView(StepObserver):
         """Whether a browser has the page open."""
         return self._page.watched
 
+    def refresh(self, env: ObservedEnv) -> None:
+        """Show the present state again, of the environment that is now chosen."""
+        if self._page.watched:
+            self._show(env, with_facts=self._page.env_id != self._env_id)
+
+    def finish(self) -> None:
+        """Say in the panel that the run is over; its controls of the run are disabled."""
+        self._page.finish()
+
     def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Note if the appearance of the shown environment changes."""
         if write.op != "model" or write.field not in LOOKS:

@@ -60,7 +60,7 @@ def the_run(folder: Path) -> Path:
 
 @pytest.mark.parametrize("viewer", ["web", "foxglove"])
 def test_a_given_token_is_in_no_record(viewer, embodichain, tmp_path):
-    words = ["run", *TASK, f"viewer={viewer}", "record.compression=none"]
+    words = ["run", *TASK, f"viewer={viewer}", "viewer.wait_s=0", "record.compression=none"]
     done = embodichain(*words, f"viewer.token={TOKEN}", cwd=tmp_path)
     assert done.returncode == 0
     assert f"?token={TOKEN}" in done.stderr
@@ -94,7 +94,8 @@ def test_however_overrides_get_into_a_config_the_token_is_not_among_them():
 
 @pytest.mark.parametrize("viewer", ["web", "foxglove"])
 def test_a_drawn_token_is_printed_and_in_no_record(viewer, embodichain, tmp_path):
-    words = ["run", *TASK, f"viewer={viewer}", "record.compression=none", "--quiet"]
+    words = ["run", *TASK, f"viewer={viewer}", "viewer.wait_s=0", "record.compression=none"]
+    words += ["--quiet"]
     done = embodichain(*words, cwd=tmp_path)
     token = re.search(r"viewer: \S+\?token=(\S{43})", done.stderr)  # or nobody could open it
     assert token is not None
@@ -104,6 +105,7 @@ def test_a_drawn_token_is_printed_and_in_no_record(viewer, embodichain, tmp_path
 
 def test_the_seed_does_not_draw_the_token(capsys):
     words = ["run", *TASK, "record=none", "viewer=foxglove", "viewer.port=18765", "seed=7"]
+    words += ["viewer.wait_s=0"]
     found = []
     for _ in range(2):
         assert main(words) == 0
@@ -112,7 +114,7 @@ def test_the_seed_does_not_draw_the_token(capsys):
 
 
 def test_a_token_of_the_environment_is_written_as_its_name(embodichain, tmp_path):
-    words = ["run", *TASK, "viewer=web", "viewer.token=${oc.env:MY_TOKEN}"]
+    words = ["run", *TASK, "viewer=web", "viewer.wait_s=0", "viewer.token=${oc.env:MY_TOKEN}"]
     done = embodichain(*words, cwd=tmp_path, env={"MY_TOKEN": TOKEN})
     assert f"?token={TOKEN}" in done.stderr
     assert files_with(tmp_path, TOKEN) == []

@@ -12,6 +12,7 @@ from PIL import Image
 
 from embodichain.cli import main
 from embodichain.cli.verbs.running import demo
+from embodichain.config import resolve
 from embodichain.data.pretrained import pretrained_tasks
 from tests.helpers.browser import chromium, needs_chromium
 
@@ -90,9 +91,27 @@ def test_a_page_that_nobody_opens_waits_until_it_is_stopped(tmp_path, monkeypatc
     )
     assert main(["demo", "cart_pole", f"output_dir={tmp_path}"]) == 0
     out, err = capsys.readouterr()
-    assert opened[0].startswith("http://127.0.0.1:") and opened[0] in err
-    assert "no browser could be opened here" in err and "waiting for a browser" in err
+    assert opened[0].startswith("http://127.0.0.1:")
+    # The printed address may be opened more than once.
+    assert "viewer: http://127.0.0.1:" in err and opened[0] not in err
+    assert "no browser could be opened here" in err and "waiting 30 s for the page" in err
     assert re.search(r"episodes +0\n", out)
+
+
+def test_three_demos_are_listed_which_need_nothing_more(capsys):
+    assert main(["demo", "--list", "--json"]) == 0
+    demos = json.loads(capsys.readouterr().out)
+    assert len(demos) == 3
+    for entry in demos:
+        assert entry["command"] == f"embodichain demo {entry['task']}"
+        resolved = resolve([f"task={entry['task']}"])
+        assert entry["task"] in pretrained_tasks() or resolved.tree["task"]["expert"]
+        robot = str(resolved.tree["task"]["robot"]["fpath"])
+        assert "example-robot-data" not in robot and not robot.startswith("/")
+    assert main(["demo", "--list"]) == 0
+    assert "embodichain demo pick_place" in capsys.readouterr().out
+    assert main(["demo", "push_cube", "--list"]) == 2
+    assert "type it alone" in capsys.readouterr().err
 
 
 def test_policies_that_ship_are_listed(capsys):

@@ -144,6 +144,7 @@ def test_a_run_says_where_it_is_shown(capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     short = ("task=random_reach", "num_envs=2", "max_steps=3", "record=none", "viewer=foxglove")
+    short += ("viewer.wait_s=0",)
     assert main(["run", *short, f"viewer.port={port}", "viewer.env=1"]) == 0
     said = capsys.readouterr().err
     assert re.search(rf"viewer: ws://127.0.0.1:{port}/\?token=\S+ \(Foxglove, Lichtblick: ", said)

@@ -7,7 +7,7 @@ import pytest
 
 from embodichain.cli import main
 
-SHORT = ("task=random_reach", "num_envs=2", "max_steps=3", "record=none")
+SHORT = ("task=random_reach", "num_envs=2", "max_steps=3", "record=none", "viewer.wait_s=0")
 
 
 def test_a_run_says_where_its_page_is(capsys: pytest.CaptureFixture[str]) -> None:

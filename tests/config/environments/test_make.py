@@ -1,14 +1,21 @@
 """`embodichain.make`, and the classes that a task names."""
 
+import inspect
+import itertools
 import subprocess
 import sys
+import textwrap
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import pytest
 import torch
 
 import embodichain
 from embodichain.config import resolve
+from embodichain.config.environments.gymnasium_envs import TaskEnv, make_task_vec
 from embodichain.config.resolved import resolve_tree, thaw
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.utils.registration import register_env
@@ -36,6 +43,80 @@ def test_make_takes_the_environments_own_arguments(write_task: WriteTask) -> Non
         assert env.metadata["autoreset_mode"].value == "Disabled"
     finally:
         env.close()
+
+
+def test_an_environment_says_what_it_is(write_task: WriteTask) -> None:
+    write_task()
+    env = embodichain.make("mine", num_envs=3, device="cpu", seed=2, render_mode="rgb_array")
+    try:
+        text = repr(env)
+        assert text.startswith(
+            "BaseEnv('mine', num_envs=3, device='cpu', action=(6,), observation="
+        )
+        assert "robot: {qf: (6,), qpos: (6,), qvel: (6,)}" in text
+        assert str(env) == text and "\n" not in text
+        assert (env.seed_value, env.render_mode) == (2, "rgb_array")
+    finally:
+        env.close()
+    assert repr(env) == text
+    with closing(gymnasium.make_vec("embodichain/reach-v0", num_envs=2)) as batch:
+        assert "('reach', num_envs=2, autoreset_mode=NEXT_STEP, action=(6,), " in repr(batch)
+    with closing(gymnasium.make("embodichain/reach-v0", seed=3, device="cpu")) as alone:
+        assert "TaskEnv('reach', action=(6,), observation=(21,))" in repr(alone.unwrapped)
+
+
+def test_the_signature_names_what_may_be_given() -> None:
+    names = ["device", "seed", "render_mode", "autoreset_mode", "run_dir", "config_dir"]
+    for function in (embodichain.make, TaskEnv.__init__, make_task_vec):
+        parameters = inspect.signature(function).parameters
+        expected = set(names)
+        if function is TaskEnv.__init__:
+            expected -= {"autoreset_mode"}
+        assert expected <= set(parameters)
+        # What a completion offers.
+        assert parameters["render_mode"].annotation == "Literal['rgb_array'] | None"
+
+
+def test_a_device_that_is_not_here_is_named() -> None:
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(ConfigError, match="device: there is no CUDA device here"):
+        embodichain.make("reach", device="cuda")
+    with pytest.raises(ConfigError, match=r"unknown device 'gpu'; allowed: cpu, cuda"):
+        embodichain.make("reach", device="gpu")
+    with pytest.raises(ConfigError, match="device is given twice"):
+        embodichain.make("reach", device="cpu", overrides=["device=cpu"])
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ({"rendermode": "rgb_array"}, "Did you mean 'render_mode'?"),
+        ({"viewer": "web"}, "viewer is a key of `embodichain run`; the environment does not read"),
+        ({"sim": {}}, r"set by overrides=\['sim.NAME=VALUE'\]"),
+    ],
+)
+def test_an_argument_that_it_does_not_take(argument: dict[str, Any], message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        embodichain.make("reach", **argument)
+
+
+@pytest.mark.parametrize("text", [embodichain.__doc__, embodichain.make.__doc__])
+def test_the_help_has_a_loop_that_runs(text: str) -> None:
+    block = inspect.cleandoc(text).partition("::\n\n")[2]
+    lines = itertools.takewhile(
+        lambda line: not line.strip() or line.startswith("    "), block.splitlines()
+    )
+    exec(textwrap.dedent("\n".join(lines)), {})
+
+
+def test_what_exists_is_listed_and_found() -> None:
+    assert {"make", "config", "learning", "recording", "lab", "__version__"} <= set(
+        dir(embodichain)
+    )
+    code = "import embodichain; print(embodichain.recording.open.__name__)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "open\n"
 
 
 def test_make_says_what_is_wrong() -> None:

@@ -198,4 +198,6 @@ def test_closing_closes_the_environment(make_vec):
     assert env.closed
     with pytest.raises(RuntimeError):
         _ = env.env.sim.engine
-    assert isinstance(env, gym.vector.VectorEnv) and env.render() is None
+    assert isinstance(env, gym.vector.VectorEnv)
+    with pytest.warns(UserWarning, match='render_mode="rgb_array"'):
+        assert env.render() is None

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
 import time
 from collections import Counter
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +21,7 @@ from embodichain.lab.gym.failures import failed_in
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
 
 if TYPE_CHECKING:
+    from embodichain.cli.jobs.watching import Watching
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
     from embodichain.recording.write.recorder import RecordStats
@@ -44,59 +48,91 @@ def run_job(job: Job) -> float | None:
         "seed": root.seed,
         "policy": policy,
     }
-    with failure_in_summary(job, facts):
-        results, log = _simulate(job)
-    log_path = None
-    if log is not None:
-        log_path = log.path
-        facts["log"] = str(log_path)
-        facts["log_bytes"] = log.nbytes
-    summary = {**facts, **results}
-    write_summary(job, summary)
-    _log.info("summary: %s", json.dumps(summary, default=str))
-    summary |= job.film(log_path)
-    if root.json:
-        print_json(summary)
-    elif not root.quiet:
-        print_facts(str(summary["task"]), run_rows(summary))
+    with ExitStack() as run:
+        with failure_in_summary(job, facts):
+            simulated = _simulate(job, run)
+        log_path = None
+        if simulated.log is not None:
+            log_path = simulated.log.path
+            facts["log"] = str(log_path)
+            facts["log_bytes"] = simulated.log.nbytes
+        summary = {**facts, **simulated.results}
+        write_summary(job, summary)
+        _log.info("summary: %s", json.dumps(summary, default=str))
+        summary |= job.film(log_path)
+        if root.json:
+            print_json(summary)
+        elif not root.quiet:
+            print_facts(str(summary["task"]), run_rows(summary))
+        if simulated.watching is not None:
+            sys.stdout.flush()
+            simulated.watching.stay()
     returns = summary["return"]
     if returns is None:
         return None
     return returns["mean"]
 
 
-def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
-    """Build, roll out and close.
+@dataclass(frozen=True, slots=True)
+class _Simulated:
+    """What a simulation has left.
 
-    Returns:
-        The statistics for `summary.json`, and what was recorded, if anything.
+    Attributes:
+        results: The statistics for `summary.json`.
+        log: What was recorded, if anything.
+        watching: Those who look at its viewer, which stays open until they are gone.
+    """
+
+    results: dict[str, Any]
+    log: RecordStats | None
+    watching: Watching | None
+
+
+def _simulate(job: Job, run: ExitStack) -> _Simulated:
+    """Build and roll out; the log is complete then.
+
+    Args:
+        job: The job.
+        run: Closes the environment, and with it the viewer.
     """
     from embodichain.config.environments.factory import make_batch
     from embodichain.learning.checkpoints.curriculum_stage import hold_at_stage
+    from embodichain.recording import McapRecorder
 
     root = job.root
     env = make_batch(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
+    run.callback(env.close)
     picture: _StartPicture | None = None
+    watching: Watching | None = None
     try:
         policy = policy_of(root, env)
         hold_at_stage(env, policy)
         recorder = job.attach_log(env, quota=[root.episodes or 1] * env.num_envs)
-        job.attach_viewer(env, policy)
+        watching = job.watching(job.attach_viewer(env, policy))
         obs, _ = env.reset()
         if root.scene_png:
             picture = _StartPicture(env)
         job.begin()
-        results = _roll_out(env, policy, obs, job)
+        if watching is not None:
+            watching.wait()
+        results = _roll_out(env, policy, obs, job, watching)
+        if watching is not None and isinstance(recorder, McapRecorder):
+            recorder.close()  # the viewer stays, and who looks may end this process at any time
     finally:
-        env.close()  # finishes the log too
+        if watching is None:
+            env.close()  # finishes the log too
         if picture is not None:
             picture.draw(job.folder / "scene.png")
-    if recorder is None:
-        return results, None
-    return results, recorder.stats
+    return _Simulated(
+        results,
+        log=None if recorder is None else recorder.stats,
+        watching=watching,
+    )
 
 
-def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any]:
+def _roll_out(
+    env: BaseEnv, policy: Policy, obs: Any, job: Job, watching: Watching | None
+) -> dict[str, Any]:
     """Step `env` with `policy` from `obs` to the end of the run; in real time if a window is open.
 
     `env` was just reset and resets its environments automatically; `policy` is reset for
@@ -129,6 +165,8 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
             status = "interrupted"
             steps = iter(())
         for _ in steps:
+            if watching is not None:
+                watching.hold()
             if env.sim.is_window_open:  # in real time
                 time.sleep(max(0.0, start + counted.steps * env.step_dt - time.perf_counter()))
             if display.due:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.jobs.access_options import AccessOptions, access_options
+from embodichain.cli.jobs.access_options import AccessOptions, access_options, naming_flags
 from embodichain.cli.jobs.job import describe_early_end, film_progress
+from embodichain.cli.jobs.watching import Watching
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.output import print_facts, print_json, print_table, say_warnings
 from embodichain.cli.terminal.process import Interrupted, StopFlag
@@ -52,6 +53,7 @@ _ONLY_WITH = {
     "size": ("video",),
     "host": ("view",),
     "port": ("view",),
+    "wait_s": ("view",),
     "token": ("view",),
     "allow_hosts": ("view",),
     "allow_origins": ("view",),
@@ -78,6 +80,7 @@ class ReplayOptions(AccessOptions):
         view: Play it: ``native``, ``web``, or empty for the one that this machine can show.
         host: Address of `view`.
         port: Port of `view`.
+        wait_s: Seconds for which `view` waits for the page to be opened; None is 30.
         video: Path of the film to write.
         camera: The camera of the scene that films.
         size: Pixels of the film, ``WIDTHxHEIGHT``.
@@ -99,6 +102,7 @@ class ReplayOptions(AccessOptions):
     view: str | None
     host: str | None
     port: int | None
+    wait_s: float | None
     video: str | None
     camera: str | None
     size: str | None
@@ -174,6 +178,13 @@ class ReplayOptions(AccessOptions):
 )
 @click.option("--host", metavar="H", help="Address of --view web. Default: 127.0.0.1.")
 @click.option("--port", type=int, metavar="P", help="Its port. Default: a free one from 8080.")
+@click.option(
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(min=0),
+    metavar="S",
+    help="Seconds that --view web waits to be opened. Default: 30; in a terminal, until a key.",
+)
 @access_options("--view web")
 @click.option(
     "--video",
@@ -219,6 +230,7 @@ def _flag(name: str) -> str:
     """The flag of an option, by the name of its field."""
     if name in ("allow_hosts", "allow_origins"):  # flags that may be repeated are singular
         name = name.removesuffix("s")
+    name = name.removesuffix("_s")  # the unit
     return f"--{name.replace('_', '-')}"
 
 
@@ -392,7 +404,10 @@ def _film(path: Path, out: Path, options: ReplayOptions) -> int:
 
 
 def _view(path: Path, options: ReplayOptions) -> int:
-    """Play until the window is closed or Ctrl-C is pressed."""
+    """Play until the page or the window is closed, or Ctrl-C is pressed.
+
+    Where nobody sits at a terminal it is played once.
+    """
     from embodichain.recording.read.playback import Stretch
     from embodichain.recording.shards import joining
     from embodichain.recording.viewers.log_player import play_log
@@ -407,7 +422,10 @@ def _view(path: Path, options: ReplayOptions) -> int:
         stretch.span_in(log)  # a mistake is reported before a window opens
         say_warnings(log.path, log.warnings)
         screen = _open_screen(log, options, stop)
+        watching = _watching(screen, options, stop)
         try:
+            if not watching.wait():
+                return process.OK
             play_log(
                 log,
                 screen,
@@ -415,11 +433,24 @@ def _view(path: Path, options: ReplayOptions) -> int:
                 first=options.start,
                 last=options.last,
                 speed=options.speed or 1.0,
-                stopped=stop.is_stopped,
+                stopped=lambda: stop.is_stopped() or watching.has_lost_all(),
+                repeats=watching.has_person,
             )
         finally:
             screen.close()
     return process.OK
+
+
+def _watching(screen: Screen, options: ReplayOptions, stop: StopFlag) -> Watching:
+    """Return what waits for those who look at the log."""
+    from embodichain.recording.viewers.log_player import NativeScreen
+    from embodichain.recording.viewers.showing import Audience
+
+    audience = Audience(is_watched=lambda: screen.watched)
+    if isinstance(screen, NativeScreen):
+        audience = Audience(is_watched=lambda: screen.is_open, what="the window", may_return=False)
+    wait_s = 30.0 if options.wait_s is None else options.wait_s
+    return Watching(audience, wait_s=wait_s, stop=stop, quiet=options.quiet, only_shows=True)
 
 
 def _open_screen(log: Log, options: ReplayOptions, stop: StopFlag) -> Screen:
@@ -442,6 +473,8 @@ def _open_screen(log: Log, options: ReplayOptions, stop: StopFlag) -> Screen:
     if name == "native":
         if options.host is not None or options.port is not None:
             raise ConfigError("--host and --port are for --view web")
+        if options.wait_s is not None:
+            raise ConfigError("--wait is for --view web: a window need not be opened")
         if options.token is not None or options.allow_hosts or options.allow_origins:
             raise ConfigError("--token, --allow-host and --allow-origin are for --view web")
         return NativeScreen(env, stop.is_stopped)
@@ -456,9 +489,10 @@ def _open_screen(log: Log, options: ReplayOptions, stop: StopFlag) -> Screen:
         title=f"{log.task}: {log.path.name}",
         access=options.access,
     )
-    page = WebPage(log.model, page_options, num_envs=log.num_envs, stopped=stop.is_stopped)
+    with naming_flags():
+        page = WebPage(log.model, page_options, num_envs=log.num_envs, stopped=stop.is_stopped)
     if not options.quiet or page.url != page.address:  # the URL has a token that must be shown
-        sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
+        sys.stderr.write(f"viewer: {page.url}\n")
         sys.stderr.flush()
     warn_if_public(host, page.url, controls=True)
     return page

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.jobs.access_options import AccessOptions, access_options
+from embodichain.cli.jobs.access_options import AccessOptions, access_options, naming_flags
 from embodichain.cli.terminal.output import print_json, say_warnings
 from embodichain.cli.verb import log_argument, verb
 from embodichain.cli.words import log_of
@@ -164,7 +164,8 @@ def _serve(path: Path, options: ViewOptions) -> None:
     from embodichain.cli.terminal.reporting import warn_if_public
     from embodichain.recording.viewers.foxglove import FoxgloveServer, declare_channels, stream_log
 
-    server = FoxgloveServer(options.host, options.port, options.access)
+    with naming_flags():
+        server = FoxgloveServer(options.host, options.port, options.access)
     try:
         declare_channels(path, server)
         sys.stdout.write(f"playing it at {server.url}: Open connection; Ctrl-C ends it\n")

@@ -6,7 +6,6 @@ The policy is the trained one that ships for the task, else the task's expert.
 from __future__ import annotations
 
 import sys
-import time
 import webbrowser
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,24 +15,28 @@ import click
 from embodichain.cli.jobs.job import Job, Work, execute, output_overrides, policy_of
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.jobs.work.run_job import run_job
-from embodichain.cli.terminal.output import print_facts, print_json
+from embodichain.cli.terminal.output import print_facts, print_json, print_table
 from embodichain.cli.verb import OverrideOptions, command_line, overrides, verb
 from embodichain.cli.words import split_overrides
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 if TYPE_CHECKING:
+    from embodichain.learning.episode_statistics import EpisodeStatistics
     from embodichain.recording.viewers.web import WebView
 
 __all__ = ["command"]
 
 _TASK = "pick_place"
+_DEMOS = {
+    _TASK: "an arm with a gripper puts a cube on a stand; its expert plans the motions",
+    "push_cube": "an arm pushes a cube to a mark; a trained policy that ships",
+    "cart_pole_swing_up": "a pole is swung up and balanced; a trained policy that ships",
+}
+"""Tasks to begin with, and what is to be seen; none needs the network or an extra."""
 _SEED = "1"
 _DEFAULTS = {"num_envs": "1", "seed": _SEED}
 _PAGE_DEFAULTS = {"viewer": "web", "record": "none", "scene_png": "false", "episodes": "100"}
 _FILM_DEFAULTS = {"video": "true", "scene_png": "false", "episodes": "1"}
-_BROWSER_TIMEOUT_S = 5.0
-"""Seconds without a browser after which the page is closed."""
-_POLL_S = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,15 +46,18 @@ class DemoOptions(OverrideOptions):
     Attributes:
         web: Show a page.
         film: Write a film.
+        lists: List demos.
     """
 
     web: bool
     film: bool
+    lists: bool
 
 
 @verb(
     "demo",
     ("demo", "an arm puts a cube on a stand, in the browser"),
+    ("demo --list", "three to begin with"),
     ("demo push_cube", "a trained policy that ships: embodichain list policies"),
     ("demo --film", "a film; also where there is no display"),
     ("demo --web viewer.port=8090", "the page, for a browser of another machine (ssh -L)"),
@@ -63,8 +69,12 @@ class DemoOptions(OverrideOptions):
 @overrides("[TASK] [KEY=VALUE]...")
 @click.option("--web", is_flag=True, help="A page. Default, if there is a display.")
 @click.option("--film", is_flag=True, help="A film in a new run folder. Default without a display.")
+@click.option("--list", "lists", is_flag=True, help="List three demos.")
 def command(options: DemoOptions) -> None:
     """Show a task that is solved."""
+    if options.lists:
+        _print_demos(options)
+        return
     from embodichain.config.resolved import resolve
     from embodichain.utils.system.display import has_display
 
@@ -95,6 +105,28 @@ def command(options: DemoOptions) -> None:
         execute(resolved, work, command_line())
     except RenderError as error:
         raise RenderError(f"{error}\n--web shows it in a browser, without OpenGL here") from error
+
+
+def _print_demos(options: DemoOptions) -> None:
+    """Print the demos to begin with.
+
+    Raises:
+        ConfigError: Something else was typed too.
+    """
+    if options.words or options.web or options.film:
+        raise ConfigError("--list lists the demos, and shows none: type it alone")
+    demos = [
+        {"task": task, "shows": shows, "command": f"embodichain demo {task}"}
+        for task, shows in _DEMOS.items()
+    ]
+    if options.json:
+        print_json(demos)
+        return
+    print_table("demos", demos)
+    sys.stdout.write(
+        "None needs the network. Other tasks with an expert or a policy that ships "
+        "(embodichain list policies) are shown too.\n"
+    )
 
 
 def _choose_policy(lines: list[str]) -> str:
@@ -142,39 +174,40 @@ class _Page:
         env = make_env(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
         try:
             policy = policy_of(job.root, env)
-            view = job.attach_viewer(env, policy)
+            shown = job.attach_viewer(env, policy)
+            watching = job.watching(shown)
             obs, _ = env.reset()
             job.begin()
-            if view is None or self._wait_for_browser(job, view):
-                last_seen = time.monotonic()
-                for _ in play(env, policy, obs, counted):
-                    now = time.monotonic()
-                    if view is None or view.watched:
-                        last_seen = now
-                    if job.stop.is_stopped() or now - last_seen > _BROWSER_TIMEOUT_S:
-                        break
+            if self._opens_browser and shown is not None and shown.page is not None:
+                self._open_browser(shown.page)
+            if watching is not None:
+                watching.wait()
+            steps = iter(()) if job.stop.is_stopped() else play(env, policy, obs, counted)
+            for _ in steps:
+                is_over = watching is not None and not watching.hold("that ends the demo")
+                if is_over or job.stop.is_stopped():
+                    break
+            _print_result(job, counted)
+            if watching is not None:
+                watching.stay()
         finally:
             env.close()
-        task = job.resolved.task_name
-        success = counted.mean("success")
-        if job.root.json:
-            print_json({"task": task, "episodes": counted.episodes, "success": success})
-        elif not job.quiet:
-            share = None if success is None else f"{success:.0%}"
-            print_facts(task, [("episodes", counted.episodes), ("success", share)])
-        return success
+        return counted.mean("success")
 
-    def _wait_for_browser(self, job: Job, view: WebView) -> bool:
-        """Wait until a browser shows the page; returns False if the run was stopped."""
-        url = view.url
-        reason = ""
-        if self._opens_browser:
-            # Other users can read a browser's command line: its URL opens one page, once.
-            url = view.url_once
-            if not webbrowser.open(url):
-                reason = "no browser could be opened here; "
-        if not job.root.quiet:
-            sys.stderr.write(f"{reason}waiting for a browser at {url} (Ctrl-C ends the demo)\n")
-        while not view.watched and not job.stop.is_stopped():
-            time.sleep(_POLL_S)
-        return view.watched
+    def _open_browser(self, page: WebView) -> None:
+        """Open the page in a browser of this machine."""
+        # Other users can read a browser's command line: its URL opens one page, once.
+        if not webbrowser.open(page.url_once):
+            sys.stderr.write("no browser could be opened here\n")
+
+
+def _print_result(job: Job, counted: EpisodeStatistics) -> None:
+    """Print how many episodes were played, and how many of them were solved."""
+    task = job.resolved.task_name
+    success = counted.mean("success")
+    if job.root.json:
+        print_json({"task": task, "episodes": counted.episodes, "success": success})
+    elif not job.quiet:
+        share = None if success is None else f"{success:.0%}"
+        print_facts(task, [("episodes", counted.episodes), ("success", share)])
+    sys.stdout.flush()

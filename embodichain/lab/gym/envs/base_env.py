@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
 from embodichain.lab.gym.envs.closed import require_open
+from embodichain.lab.gym.envs.describing import describe, warn_undrawn
 from embodichain.lab.gym.envs.managers.action_manager import (
     ActionCheck,
     ActionManager,
@@ -124,6 +125,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     Attributes:
         cfg: The environment's copy of its config, with derived values filled in.
+        task_name: Name of the task in YAML that it was made of, or None.
         sim: The simulation of all N environments.
         robot: The robot, or None.
         active_joint_ids: Its joints that ``obs["robot"]`` contains and actions move.
@@ -157,6 +159,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         "render_modes": ["rgb_array"],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
+    task_name: str | None = None
     active_joint_ids: list[int] = []
     sensors: dict[str, Any] = {}
     drives_robot: bool = False
@@ -215,7 +218,10 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             raise with_problems_of_other_terms(error, cfg, built_by_hooks) from error
         cfg = self.cfg
         if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
+            hint = ""
+            if render_mode == "human":
+                hint = '. A window is overrides=["viewer=native"], or embodichain run viewer=web'
+            raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None{hint}")
         self.render_mode = render_mode
         self.run_dir = run_dir
         self.control_step = 0
@@ -952,7 +958,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     # -- pictures, recorded moments, the end ---------------------------------------------------
 
     def render(self, view: str = "default") -> NDArray[np.uint8] | None:
-        """Draw environment 0 as (480, 640, 3) RGB; None unless `render_mode` is ``rgb_array``.
+        """Draw environment 0 as (480, 640, 3) RGB.
+
+        Without a `render_mode` it returns None, with a warning.
 
         Raises:
             RenderError: If no OpenGL library works; names the package to install.
@@ -960,6 +968,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """
         require_open(self._closed)
         if self.render_mode != "rgb_array":
+            warn_undrawn(self.task_name)
             return None
         return self.sim.render(camera=view)
 
@@ -1055,6 +1064,19 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
                 stack.callback(self.__dict__.pop, name, None)
             for observer in reversed(self.observers):
                 stack.callback(observer.on_close, self)
+
+    def __repr__(self) -> str:
+        """Return class, task, size and spaces in one line."""
+        return describe(
+            type(self).__name__,
+            self.task_name,
+            f"num_envs={self.num_envs}",
+            f"device='{self.device}'",
+            action=self.single_action_space,
+            observation=self.single_observation_space,
+        )
+
+    __str__ = __repr__  # Gymnasium's names an instance alone
 
     # -- size and clock ------------------------------------------------------------------------
 

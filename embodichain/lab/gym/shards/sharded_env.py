@@ -20,6 +20,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.closed import require_open
+from embodichain.lab.gym.envs.describing import describe
 from embodichain.lab.gym.envs.managers.action_manager import ActionCheck
 from embodichain.lab.gym.envs.observation import Observation
 from embodichain.lab.gym.envs.step.episodes import add_finals, seed_globals
@@ -411,6 +412,19 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
     def render(self) -> None:
         """Return None: pictures are drawn from a shard's log."""
         require_open(self._closed)
+
+    def __repr__(self) -> str:
+        """Return task, size and spaces in one line."""
+        return describe(
+            type(self).__name__,
+            self.template.task_name,
+            f"num_envs={self.num_envs}",
+            f"shards={len(self.pool.counts)}",
+            action=self.single_action_space,
+            observation=self.single_observation_space,
+        )
+
+    __str__ = __repr__
 
     def close(self) -> None:
         """Close the shards, then the template."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from embodichain.recording.viewers.foxglove import FoxgloveView
-from embodichain.recording.viewers.showing import Shown, Viewing, viewer
+from embodichain.recording.viewers.showing import Audience, Shown, Viewing, viewer
 
 __all__ = ["show_foxglove"]
 
@@ -29,7 +29,14 @@ def show_foxglove(viewing: Viewing) -> Shown:
         realtime=viewing.realtime,
         images=images,
         access=viewing.access,
+        title=viewing.title,
     )
     viewing.env.add_observer(view)
     how = "Foxglove, Lichtblick: Open connection, Foxglove WebSocket"
-    return Shown(view.server.url, view.server.address, how)
+    audience = Audience(
+        is_watched=lambda: view.watched,
+        what="the connection",
+        refresh=lambda: view.refresh(viewing.env),
+        finish=view.finish,
+    )
+    return Shown(view.server.url, view.server.address, how, audience=audience)

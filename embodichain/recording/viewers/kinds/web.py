@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from embodichain.recording.viewers.showing import Shown, Viewing, viewer
+from embodichain.recording.viewers.showing import Audience, Shown, Viewing, viewer
 from embodichain.recording.viewers.web import PageOptions, WebView
 
 __all__ = ["show_page"]
@@ -21,8 +21,15 @@ def show_page(viewing: Viewing) -> Shown:
         env_id=viewing.cfg.env,
         realtime=viewing.realtime,
         resets=viewing.resets,
+        title=viewing.title,
         access=viewing.access,
     )
     view = WebView(viewing.env, options, stopped=viewing.stopped, teleop=viewing.teleop)
     viewing.env.add_observer(view)
-    return Shown(view.url, view.address, page=view)
+    audience = Audience(
+        is_watched=lambda: view.watched,
+        what="the page",
+        refresh=lambda: view.refresh(viewing.env),
+        finish=view.finish,
+    )
+    return Shown(view.url, view.address, page=view, audience=audience)

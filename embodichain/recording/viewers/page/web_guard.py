@@ -6,6 +6,9 @@ MuJoCo's web server answers pages of other sites, and takes files; see `web_proc
 from __future__ import annotations
 
 import functools
+import html
+import json
+import re
 import socket
 import threading
 from collections.abc import Callable
@@ -23,6 +26,13 @@ _TELEOP = "/teleop"
 _SWITCHING = 101
 _HEAD_END = b"</head>"
 _TELEOP_TAG = f'<script src="{SCRIPT.name}"></script>'.encode()
+_TITLE = re.compile(rb"<title>.*?</title>", re.DOTALL)
+_KEEP_TITLE = """<script>{{
+  const title = {title};
+  const show = () => {{ if (document.title !== title) document.title = title; }};
+  new MutationObserver(show).observe(document.querySelector("title"), {{childList: true}});
+}}</script>"""
+"""MuJoCo's program names the page after itself when it starts; it has no option for that."""
 _HIDE_TOKEN = b"<script>history.replaceState(null, '', location.pathname)</script>"
 """Removes the token from the address, once the cookie is set: it is not for bookmarks."""
 
@@ -32,15 +42,21 @@ class Guard:
 
     Args:
         door: Decides who may use the page.
-        operators: The operator's pages; None serves Studio's page as it is.
+        operators: The operator's pages; None serves Studio's page without them.
+        title: Title of the page.
 
     Attributes:
         serving: Set once requests are checked.
         connections: Paths of open WebSockets.
     """
 
-    def __init__(self, door: Door, operators: OperatorPages | None = None) -> None:
+    def __init__(
+        self, door: Door, operators: OperatorPages | None = None, title: str = "embodichain"
+    ) -> None:
         self._door = door
+        text = json.dumps(title).replace("<", "\\u003c")  # it would end the script
+        keep_title = _KEEP_TITLE.format(title=text)
+        self._title = f"<title>{html.escape(title)}</title>{keep_title}".encode()
         self._operators = operators
         self.serving = threading.Event()
         self.connections: list[str] = []
@@ -64,7 +80,7 @@ class Guard:
         return response
 
     def _content(self, answer: Callable[[Any, Any], Any], connection: Any, request: Any) -> Any:
-        """The response of MuJoCo's server, with our scripts in its page; our script itself."""
+        """The response of MuJoCo's server, in its page our title and scripts; our script."""
         path, _, query = request.path.partition("?")
         if self._operators is not None:
             if path == _TELEOP:
@@ -79,7 +95,8 @@ class Guard:
             tags += _HIDE_TOKEN
         if self._operators is not None:
             tags += _TELEOP_TAG
-        page = response.body.replace(_HEAD_END, tags + _HEAD_END, 1)
+        page = _TITLE.sub(lambda _: self._title, response.body, count=1)
+        page = page.replace(_HEAD_END, tags + _HEAD_END, 1)
         return _response(page, "text/html; charset=utf-8")
 
     def refusal(self, request: Any) -> Any:

@@ -280,6 +280,10 @@ class WebPage:
         while (left := due - time.monotonic()) > 0 and not self._controls.paused and self._waits():
             time.sleep(min(left, _NAP))
 
+    def finish(self) -> None:
+        """Say in the panel that the run is over: there is nothing to pause or to reset."""
+        self._send("finish", None)
+
     def take_reset(self) -> int | None:
         """Return the environment of a requested reset, once; else None."""
         controls = self._controls

@@ -15,6 +15,7 @@ nothing is served.
 from __future__ import annotations
 
 import dataclasses
+import math
 import socket
 import sys
 import threading
@@ -28,6 +29,7 @@ import numpy as np
 from mujoco.studio import launch_thread, messages, plugin, ux, viewer_protocol, web_viewer
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
+from mujoco.studio.web import web_server
 
 from embodichain.lab.sim.compiler.sensing.views import DEFAULT_VIEW
 from embodichain.recording.viewers.door import Door
@@ -44,18 +46,27 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.system.addresses import reachable
 from embodichain.utils.system.processes import ProcessId, end_with
 
-__all__ = ["Panel", "Studio", "main"]
+__all__ = ["Panel", "Place", "Studio", "main", "panel_place"]
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _POLL_SECONDS = 1.0 / 60.0
 _START_SECONDS = 20.0
+_MOST_TRIES = 20
+"""How often another free port is tried."""
 _IDLE_SECONDS = 0.05
 _WIDTH = 330.0
 _HEIGHT = 640.0
 _MARGIN = 8.0
+_NARROW = 2.0 * (_MARGIN + _WIDTH)
+"""A page that is narrower has the panel below the scene instead of beside it."""
+_SHARE_BELOW = 0.38
+"""Share of the page's height that the panel has there."""
 _BUTTON = imgui.Vec2(70.0, 0.0)
 _THEIR_ADVICE = "Pass a different --port"
 """Beginning of the part of MuJoCo's message about an option of its own program."""
+_PLOT_HEIGHT = 180.0
+_LEGEND_MARGIN = 30.0
+_LEGEND_LINE = 20.0
 _HISTORY = 400
 """Number of steps with plotted rewards."""
 
@@ -107,6 +118,9 @@ def _serve(
             kind, value = run.recv()
             if kind == "close":
                 return str(value)
+            if kind == "finish":
+                panel.finish()
+                continue
             if kind == "model":
                 studio.send(messages.ModelEvent(model=value))
                 continue
@@ -122,7 +136,10 @@ def _serve(
             studio.send(messages.StateSnapshot(state=row, state_sig=_STATE))
         if panel.controls.paused and not studio.controlled:
             panel.resume()
-        controls = dataclasses.replace(panel.controls, watched=studio.watched)
+        is_watched = studio.watched
+        if is_watched and not sent.watched:
+            panel.begin_part()
+        controls = dataclasses.replace(panel.controls, watched=is_watched)
         if operators is not None:
             if operators.pauses != pauses:
                 pauses = operators.pauses
@@ -173,7 +190,7 @@ class Studio:
                     title=options.title, gfx="web", http_port=options.port or 0
                 )
                 viewer = _Viewer(
-                    options.host,
+                    options,
                     door,
                     operators,
                     config,
@@ -227,12 +244,18 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     """Studio's web viewer, which listens on `_host`; here that is the configured address."""
 
     guard: Guard
+    _http_sock: socket.socket
     _tcp_sock: socket.socket
 
     def __init__(
-        self, host: str, door: Door, operators: OperatorPages | None, *args: Any, **kwargs: Any
+        self,
+        options: PageOptions,
+        door: Door,
+        operators: OperatorPages | None,
+        *args: Any,
+        **kwargs: Any,
     ) -> None:
-        self._address = host
+        self._options = options
         self._door = door
         self._operators = operators
         self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and a scene made for it
@@ -240,7 +263,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
 
     @property
     def _host(self) -> str:
-        return self._address
+        return self._options.host
 
     @_host.setter
     def _host(self, every_interface: str) -> None:
@@ -249,16 +272,18 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     @property
     def url(self) -> str:
         """Address of the page, for a browser on this machine."""
-        return f"http://{reachable(self._address)}:{self._http_sock.getsockname()[1]}/"
+        return f"http://{reachable(self._options.host)}:{self._http_sock.getsockname()[1]}/"
 
     def _start_server(self) -> None:
         """Start serving, if the socket is the expected one and requests are checked."""
         bound = self._http_sock.getsockname()[0]
-        if bound not in {info[4][0] for info in socket.getaddrinfo(self._address, None)}:
+        if bound not in {info[4][0] for info in socket.getaddrinfo(self._options.host, None)}:
             raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
-        self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
+        self._listen()
         self._tcp_sock = OwnSocket(self._tcp_sock)
-        self.guard = GUARDS[self._http_sock] = Guard(self._door, self._operators)
+        self.guard = GUARDS[self._http_sock] = Guard(
+            self._door, self._operators, self._options.title
+        )
         super()._start_server()
         if self._web_server.tcp_sock is not self._tcp_sock:
             self._web_server.stop()
@@ -266,6 +291,23 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         if not self.guard.serving.wait(_START_SECONDS):
             self._web_server.stop()
             raise RuntimeError(f"requests to MuJoCo {mujoco.__version__}'s viewer are not checked")
+
+    def _listen(self) -> None:
+        """Listen, here and not in the server's thread, so that it fails here if it cannot.
+
+        Between the choice of a free port and this call another program may have taken it: then
+        the next one is chosen.
+        """
+        for _ in range(_MOST_TRIES):
+            try:
+                self._http_sock.listen()
+                return
+            except OSError:
+                if self._options.port is not None:
+                    raise
+            self._http_sock.close()
+            self._http_sock = web_server.bind_public_socket(self._host)
+        self._http_sock.listen()
 
     def prepare_next_frame(self) -> bool:
         """Draw only if a page is open."""
@@ -289,6 +331,38 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
 
 
 # -- the panel -------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Place:
+    """A rectangle of the page, in its pixels.
+
+    Attributes:
+        x: From the left.
+        y: From the top.
+        width: Its width.
+        height: Its height.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+
+def panel_place(width: float, height: float) -> Place:
+    """Where the panel is on a page: beside the scene, or below it on a phone.
+
+    Args:
+        width: Of the page, without Studio's line at its bottom; in pixels.
+        height: Likewise.
+    """
+    if width >= _NARROW:
+        free_height = height - 2.0 * _MARGIN
+        return Place(x=_MARGIN, y=_MARGIN, width=_WIDTH, height=min(_HEIGHT, free_height))
+    panel_height = _SHARE_BELOW * height
+    top = height - _MARGIN - panel_height
+    return Place(x=_MARGIN, y=top, width=width - 2.0 * _MARGIN, height=panel_height)
 
 
 class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
@@ -321,11 +395,26 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self._history: deque[Facts] = deque(maxlen=_HISTORY)
         self._camera = ux.UxState()
         self._open = True
+        self._is_over = False
+        self._place: Place | None = None
 
     def add(self, facts: Facts) -> None:
-        """Show the facts of a step."""
+        """Show the facts of a step; a log that begins again begins a new plot."""
+        if self._history and facts.step < self._history[-1].step:
+            self._history.clear()
         self._facts = facts
         self._history.append(facts)
+
+    def begin_part(self) -> None:
+        """Leave a gap in the plot: nobody watched until now, so there are no facts of that time."""
+        if self._history:
+            last = self._history[-1]
+            nothing = dict.fromkeys(last.rewards, math.nan)
+            self._history.append(last._replace(rewards=nothing))
+
+    def finish(self) -> None:
+        """Say that the run is over."""
+        self._is_over = True
 
     def resume(self) -> None:
         """End a pause."""
@@ -383,8 +472,12 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self.viewer.camera_index = self._camera.camera_index
         if not self._open:
             return
-        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _MARGIN), int(imgui.Cond.FirstUseEver))
-        imgui.SetNextWindowSize(imgui.Vec2(_WIDTH, _HEIGHT), int(imgui.Cond.FirstUseEver))
+        display = imgui.GetIO().DisplaySize
+        place = panel_place(display.x, display.y)
+        if place != self._place:  # else it stays where a person has put it
+            self._place = place
+            imgui.SetNextWindowPos(imgui.Vec2(place.x, place.y))
+            imgui.SetNextWindowSize(imgui.Vec2(place.width, place.height))
         expanded, self._open = imgui.Begin(self._options.title, self._open)
         if expanded:
             self._draw_controls()
@@ -395,10 +488,13 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         imgui.End()
 
     def _draw_controls(self) -> None:
+        if self._is_over:
+            imgui.TextUnformatted("The run is over: this is its last state.")
         if self._num_envs > 1:
             changed, chosen = imgui.InputInt("environment", self.controls.env_id)
             if changed:
                 self._choose(chosen)
+        imgui.BeginDisabled(self._is_over)
         if imgui.Button("Resume" if self.controls.paused else "Pause", _BUTTON):
             self.pause()
         imgui.SetItemTooltip("Space" if self._operators is None else "Esc")
@@ -417,6 +513,7 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         changed, chosen = imgui.Combo("speed", SPEEDS.index(self.controls.speed), names)
         if changed:
             self._change(speed=SPEEDS[chosen])
+        imgui.EndDisabled()
 
     def _draw_view(self) -> None:
         """Draw Studio's widgets for cameras and view options."""
@@ -453,7 +550,12 @@ def _draw_facts(facts: Facts, history: list[Facts]) -> None:
                 imgui.TextUnformatted(text)
         imgui.EndTable()
     implot.SetNextAxesToFit()
-    if implot.BeginPlot("##rewards", imgui.Vec2(-1.0, 180.0)):
+    # A legend below the panel's end, or above its top, would be drawn outside of the panel.
+    top = imgui.GetCursorPosY() - imgui.GetScrollY()
+    bottom = top + _LEGEND_MARGIN + _LEGEND_LINE * len(facts.rewards)
+    has_legend = top > 0.0 and bottom < imgui.GetWindowHeight()
+    flags = 0 if has_legend else int(implot.Flags.NoLegend)
+    if implot.BeginPlot("##rewards", imgui.Vec2(-1.0, _PLOT_HEIGHT), flags):
         implot.SetupAxes("control step", "")
         steps = [past.step for past in history]
         for name in facts.rewards:

@@ -457,7 +457,9 @@ def test_no_display_means_headless_with_a_warning(make_env, monkeypatch, caplog)
 
 def test_render_modes(make_env):
     env = make_env()
-    assert env.render() is None
+    with pytest.warns(UserWarning, match='render_mode="rgb_array"') as warned:
+        assert env.render() is None
+    assert warned[0].filename == __file__
     with pytest.raises(ValueError, match="rgb_array"):
         make_env(env_kwargs={"render_mode": "human"})
 
