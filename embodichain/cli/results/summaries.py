@@ -31,7 +31,7 @@ def run_rows(summary: Mapping[str, Any]) -> Rows:
     rows += _spread_row("length", summary["length"], summary["episodes"])
     if summary["success_rate"] is not None:
         rows.append(("success", f"{summary['success_rate']:.1%}"))
-    rows += _term_rows(summary)
+    rows += _term_rows(summary, summary["success_rate"])
     for step, count in summary.get("failed_in", {}).items():
         rows.append((f"failed in: {step}", count))
         detail = summary["failed_for"][step].removeprefix(step).removeprefix(":").strip()
@@ -76,14 +76,15 @@ def _spread_row(name: str, spread: Mapping[str, float] | None, episodes: int) ->
     return [(name, text)]
 
 
-def _term_rows(result: Mapping[str, Any]) -> Rows:
+def _term_rows(result: Mapping[str, Any], success_rate: float | None) -> Rows:
     """The means of metrics and rewards, of those that have one.
 
-    The metric `success` is left out: its mean is the success rate, which has a row.
+    The metric `success` is left out if its mean is the success rate, which has a row.
     """
     rows: Rows = []
     for name, value in result["metrics"].items():
-        if value is not None and name != "success":
+        is_repeated = name == "success" and value == success_rate
+        if value is not None and not is_repeated:
             rows.append((f"metric {name}", result_number(value)))
     for name, value in result["rewards"].items():
         if value is not None:
@@ -162,7 +163,8 @@ def evaluation_rows(result: Mapping[str, Any]) -> Rows:
     rows += _success_row(result)
     rows += _estimate_rows("return", result["returns"])
     rows += _estimate_rows("length", result["length"])
-    rows += _term_rows(result)
+    success = result["success"]
+    rows += _term_rows(result, None if success is None else success["rate"])
     for name in ("terminated", "diverged"):
         rows.append((name, f"{result[name]:,} episode{'s' * (result[name] != 1)}"))
     rows += _present(result, ("seed", "log", "video", "folder"))
