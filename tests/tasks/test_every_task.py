@@ -1,7 +1,12 @@
-"""What every task that ships must do: stated once, run over all of them."""
+"""What every task that ships must do: stated once, run over all of them.
+
+The tests of one task share its scene, compiled once, and follow each other; `gymnasium.make` and
+`make_vec`, and what changes the scene, compile their own.
+"""
 
 import functools
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import gymnasium as gym
@@ -15,6 +20,10 @@ from stable_baselines3.common.preprocessing import is_image_space
 
 import embodichain
 from embodichain.config import compose, list_options
+from embodichain.config.environments.factory import make_env
+from embodichain.config.resolved import Resolved, compile_scene_of, resolve
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 from embodichain.learning import SB3VecEnv
 from embodichain.recording import McapRecorder, verify
 from tests.end_to_end.test_invariance import action_of, tensors
@@ -27,6 +36,33 @@ TASKS = list_options("task")
 
 def declared(task):
     return yaml.safe_load((CONF / f"{task}.yaml").read_text(encoding="utf-8"))
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task that ships, and its scene."""
+
+    name: str
+    resolved: Resolved
+    scene: CompiledScene
+
+    def make(self, num_envs: int, seed: int, **values: object) -> BaseEnv:
+        """Its environment; `values` are keys of the task."""
+        resolved = self.resolved.changed(num_envs=num_envs, seed=seed)
+        if values:
+            resolved = resolved.changed(task={**resolved.tree["task"], **values})
+        return make_env(resolved, compiled_scene=self.scene)
+
+
+@pytest.fixture(scope="module", params=TASKS)
+def task(request):
+    resolved = resolve([f"task={request.param}", "policy=random"], "run")
+    return Task(request.param, resolved, compile_scene_of(resolved))
+
+
+WITH_SUCCESS = pytest.mark.parametrize(
+    "task", [name for name in TASKS if name != "random_reach"], indirect=True, scope="module"
+)
 
 
 @functools.cache
@@ -67,25 +103,23 @@ def test_the_tasks_are_those_of_the_folder():
     assert expected <= set(TASKS)
 
 
-@pytest.mark.parametrize("task", TASKS)
 def test_task_file_says_what_it_is(task):
-    text = (CONF / f"{task}.yaml").read_text(encoding="utf-8")
-    assert len(declared(task)["description"]) > 20
+    text = (CONF / f"{task.name}.yaml").read_text(encoding="utf-8")
+    assert len(declared(task.name)["description"]) > 20
     assert text.startswith("#")
 
 
-@pytest.mark.parametrize("task", [t for t in TASKS if t != "random_reach"])
+@WITH_SUCCESS
 def test_task_has_a_reward_and_a_success(task):
-    tree = composed(task)
+    tree = composed(task.name)
     assert tree["rewards"]
     assert "success" in tree["metrics"]
 
 
-@pytest.mark.parametrize("task", TASKS)
 def test_gymnasium_environment_of_a_task_passes_both_checkers(task):
-    env = gym.make(f"embodichain/{task}-v0")
+    env = gym.make(f"embodichain/{task.name}-v0")
     space = env.observation_space
-    if task.endswith("_vision"):
+    if task.name.endswith("_vision"):
         images = [part for part in space.values() if len(part.shape) == 3]
         assert len(images) == 2 and all(is_image_space(image) for image in images)
     else:
@@ -100,9 +134,8 @@ def test_gymnasium_environment_of_a_task_passes_both_checkers(task):
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
 def test_gymnasium_batch_of_a_task_is_numpy(task):
-    env = gym.make_vec(f"embodichain/{task}-v0", num_envs=2)
+    env = gym.make_vec(f"embodichain/{task.name}-v0", num_envs=2)
     obs, _ = env.reset(seed=0)
     assert env.observation_space.contains(obs)
     obs, reward, *_ = env.step(env.action_space.sample())
@@ -110,9 +143,8 @@ def test_gymnasium_batch_of_a_task_is_numpy(task):
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
 def test_observations_are_finite_and_in_their_space(task):
-    env = embodichain.make(task, num_envs=3, overrides=["seed=4"])
+    env = task.make(num_envs=3, seed=4)
     space = env.single_observation_space
     obs, _ = env.reset()
     for step in range(30):
@@ -124,9 +156,8 @@ def test_observations_are_finite_and_in_their_space(task):
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
 def test_task_log_verifies(task, tmp_path):
-    env = embodichain.make(task, num_envs=2, overrides=["seed=1", "task.max_episode_steps=7"])
+    env = task.make(num_envs=2, seed=1, max_episode_steps=7)
     env.add_observer(McapRecorder(tmp_path / "log.mcap", env))
     env.reset()
     for step in range(10):
@@ -136,9 +167,9 @@ def test_task_log_verifies(task, tmp_path):
     assert report.ok, report
 
 
-@pytest.mark.parametrize("task", [t for t in TASKS if t != "random_reach"])
+@WITH_SUCCESS
 def test_sb3_vector_environment_plays_a_task(task):
-    batch = embodichain.make(task, num_envs=2, overrides=["task.max_episode_steps=5"])
+    batch = task.make(num_envs=2, seed=3, max_episode_steps=5)
     env = SB3VecEnv(batch, flatten=not has_images(batch))
     obs = env.reset()
     ended = 0
@@ -152,10 +183,9 @@ def test_sb3_vector_environment_plays_a_task(task):
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(task):
     def played(seed):
-        env = embodichain.make(task, num_envs=2, overrides=[f"seed={seed}"])
+        env = task.make(num_envs=2, seed=seed)
         obs, _ = env.reset()
         for step in range(5):
             obs, *_ = env.step(action_of(env, step))
@@ -165,13 +195,12 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(task):
 
     first = played(1)
     assert first == played(1)
-    if composed(task).get("events"):
+    if composed(task.name).get("events"):
         assert first != played(2)
 
 
-@pytest.mark.parametrize("task", TASKS)
 def test_task_config_composes_to_one_tree(task):
-    assert composed(task)["description"] == declared(task)["description"]
+    assert composed(task.name)["description"] == declared(task.name)["description"]
 
 
 def lowest(model, data, geoms):
@@ -189,9 +218,8 @@ def lowest(model, data, geoms):
     return min(heights)
 
 
-@pytest.mark.parametrize("task", TASKS)
 def test_task_robots_do_not_float(task):
-    env = embodichain.make(task, num_envs=1, overrides=["seed=1"])
+    env = task.make(num_envs=1, seed=1)
     env.reset()
     scene = env.sim.scene
     data = env.sim.engine.data_of(0)
@@ -212,14 +240,15 @@ def test_task_robots_do_not_float(task):
 STANDS = [t for t in TASKS if "pedestal" in declared(t).get("scene", {})]
 
 
-@pytest.mark.parametrize("task", STANDS)
+@pytest.mark.parametrize("task", STANDS, indirect=True, scope="module")
 def test_task_pedestal_changes_nothing(task):
-    def steps(*overrides):
-        env = embodichain.make(task, num_envs=2, overrides=["seed=2", *overrides])
+    def steps(env):
         seen = [env.reset()[0]]
         seen += [env.step(action_of(env, step))[0] for step in range(20)]
         env.close()
         return [leaf for obs in seen for leaf in tensors(obs)]
 
-    with_it, without = steps(), steps("~task.scene.pedestal")
+    with_it = steps(task.make(num_envs=2, seed=2))
+    overrides = ["seed=2", "~task.scene.pedestal"]
+    without = steps(embodichain.make(task.name, num_envs=2, overrides=overrides))
     assert all(torch.equal(a, b) for a, b in zip(with_it, without, strict=True))

@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 from embodichain.cli.jobs.job import policy_of
 from embodichain.cli.jobs.trained import find_target
 from embodichain.cli.terminal import process
-from embodichain.cli.terminal.output import print_facts, print_json, print_table, say_warnings
+from embodichain.cli.terminal.output import (
+    print_facts,
+    print_json,
+    print_table,
+    result_row,
+    say_warnings,
+)
 from embodichain.cli.terminal.reporting import ProgressDisplay
 from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.utils.errors import ConfigError
@@ -165,10 +171,11 @@ def rerun(path: Path, repetition: Repetition, *, quiet: bool = False, json: bool
     if json:
         print_json({**facts, "pairs": [asdict(pair) for pair in pairs]})
     elif not quiet:
-        print_table("episodes", [asdict(pair) for pair in pairs[:_MOST_ROWS]])
+        print_table("episodes", [result_row(asdict(pair)) for pair in pairs[:_MOST_ROWS]])
         if len(pairs) > _MOST_ROWS:
             sys.stdout.write(f"... and {len(pairs) - _MOST_ROWS} more: --env, --json\n")
-        print_facts(str(path), [(name.replace("_", " "), value) for name, value in facts.items()])
+        rows = result_row(facts).items()
+        print_facts(str(path), [(name.replace("_", " "), value) for name, value in rows])
     return process.OK
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.terminal.output import number
+from embodichain.cli.terminal.output import result_number
 
 if TYPE_CHECKING:
     from embodichain.learning.evaluation.comparison import Group
@@ -70,7 +70,7 @@ def _cell(title: str, estimate: SeedEstimate | None) -> str | None:
     if estimate is None:
         return None
     if estimate.mean_interval is None and title in _COSTS:
-        return number(estimate.mean)
+        return result_number(estimate.mean)
     return mean_of_seeds(estimate, share="success" in title)
 
 
@@ -81,7 +81,7 @@ def mean_of_seeds(estimate: SeedEstimate, *, share: bool = False) -> str:
         estimate: The mean over seeds.
         share: Whether it is a share, which is written in percent.
     """
-    text: Callable[[float], str] = "{:.1%}".format if share else number
+    text: Callable[[float], str] = "{:.1%}".format if share else result_number
     mean = text(estimate.mean)
     if estimate.mean_interval is not None:
         low, high = estimate.mean_interval

@@ -18,10 +18,12 @@ if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["task_tables", "without_defaults"]
+__all__ = ["printed_rows", "task_tables"]
 
 Rows = list[dict[str, Any]]
-_SECTIONS = tuple(SECTION_OF.values())
+_JUDGING = ("rewards", "terminations", "metrics")
+_SECTIONS = (*_JUDGING, *(name for name in SECTION_OF.values() if name not in _JUDGING))
+"""Sections of terms in the order of the tables: first what a learner is judged by."""
 _ALWAYS = ("term", "func", "shape", "weight", "kind", "reduce", "group", "params")
 """Columns of terms that are shown even if every value is the default."""
 _NO_LIMIT = 1e9
@@ -29,40 +31,54 @@ _NO_LIMIT = 1e9
 
 
 def task_tables(resolved: Resolved) -> dict[str, Any]:
-    """Compile a task's scene, build and close its environment; return title -> table."""
+    """Compile a task's scene, build and close its environment; return title -> table.
+
+    What people ask for is first: times, columns, rewards, terminations; then the scene.
+    """
     from embodichain.config.environments.factory import make_env
     from embodichain.config.resolved import compile_scene_of
 
     compiled_scene = compile_scene_of(resolved)
     env = make_env(resolved.changed(num_envs=1), compiled_scene=compiled_scene)
     try:
-        model = env.sim.scene.model
-        return {
-            "timing": {**_timing(env), "environments": resolved.tree["num_envs"]},
-            "bodies": _bodies(model),
-            "joints": _joints(model),
-            "actuators": _actuators(model),
-            "drives": list(_drives(env)),
-            "attached files": _attached(env),
-            "names of links": _names_of_links(env),
-            "grippers": _grippers(env),
-            "self-collision": _self_collision(env),
-            "surroundings": _surroundings(env),
-            "lights": _lights(model),
-            "cameras": _cameras(model, env.sim.sim_config.views),
-            "notes on files": _notes(env),
-            "initial poses": _poses(env),
-            "initial qpos": _qpos(env),
-            "spaces": _spaces(env),
-            "sensors": _sensors(env),
-            **{section: _terms(env, section) for section in _SECTIONS},
-            "expert": _steps(env),
-            "training": _training(resolved),
-            "action vector": _action_vector(env),
-            "observation vector": _observation_vector(env),
-        }
+        return {**_task_tables(env, resolved), **_scene_tables(env)}
     finally:
         env.close()
+
+
+def _task_tables(env: BaseEnv, resolved: Resolved) -> dict[str, Any]:
+    """What a learner meets: times, columns, what is rewarded and what ends an episode."""
+    return {
+        "timing": {**_timing(env), "environments": resolved.tree["num_envs"]},
+        "spaces": _spaces(env),
+        "action vector": _action_vector(env),
+        "observation vector": _observation_vector(env),
+        **{section: _terms(env, section) for section in _SECTIONS},
+        "sensors": _sensors(env),
+        "expert": _steps(env),
+        "training": _training(resolved),
+    }
+
+
+def _scene_tables(env: BaseEnv) -> dict[str, Any]:
+    """What is simulated."""
+    model = env.sim.scene.model
+    return {
+        "bodies": _bodies(model),
+        "joints": _joints(model),
+        "actuators": _actuators(model),
+        "drives": list(_drives(env)),
+        "attached files": _attached(env),
+        "names of links": _names_of_links(env),
+        "grippers": _grippers(env),
+        "self-collision": _self_collision(env),
+        "surroundings": _surroundings(env),
+        "lights": _lights(model),
+        "cameras": _cameras(model, env.sim.sim_config.views),
+        "notes on files": _notes(env),
+        "initial poses": _poses(env),
+        "initial qpos": _qpos(env),
+    }
 
 
 def _training(resolved: Resolved) -> dict[str, Any]:
@@ -89,15 +105,38 @@ def _training(resolved: Resolved) -> dict[str, Any]:
     return facts
 
 
-def without_defaults(section: str, rows: Rows) -> Rows:
-    """Return rows of terms without the columns in which every value is the default.
+def printed_rows(title: str, rows: Rows) -> Rows:
+    """Return the rows of a table as they are printed; JSON has all of them.
+
+    Of terms, columns in which every value is the default are left out. Columns of an observation
+    that belong to the same link share a row.
 
     Args:
-        section: The table's title.
+        title: The table's title.
         rows: Its rows.
     """
-    if section not in _SECTIONS:
-        return rows
+    if title == "observation vector":
+        return _join_columns(rows)
+    if title in _SECTIONS:
+        return _without_defaults(title, rows)
+    return rows
+
+
+def _join_columns(rows: Rows) -> Rows:
+    """One row for neighbouring columns that differ in their number alone."""
+    joined: Rows = []
+    alike = itertools.groupby(rows, key=lambda row: {**row, "columns": ""})
+    for _, group in alike:
+        columns = list(group)
+        row = dict(columns[0])
+        if len(columns) > 1:
+            row["columns"] = f"{row['columns']} to {columns[-1]['columns']}"
+        joined.append(row)
+    return joined
+
+
+def _without_defaults(section: str, rows: Rows) -> Rows:
+    """Rows of terms without the columns in which every value is the default."""
     from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 
     cfg_class = get_args(get_type_hints(EnvCfg)[section])[1]

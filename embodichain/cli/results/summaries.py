@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from embodichain.cli.terminal.output import number
+from embodichain.cli.terminal.output import number, result_number
 
 __all__ = [
     "brief_rows",
@@ -51,17 +51,16 @@ def run_rows(summary: Mapping[str, Any]) -> Rows:
     episodes = f"{summary['episodes']:,} of {summary['episodes_wanted']:,}"
     rows: Rows = [
         ("ended", ends[summary["status"]]),
-        ("episodes", f"{episodes} ({summary['num_envs']} environments)"),
+        ("episodes", f"{episodes} ({_environments(summary['num_envs'])})"),
         ("control steps", f"{summary['control_steps']:,} in {summary['seconds']:.2f} s"),
         ("FPS", f"{summary['fps']:,.0f} environment steps/s"),
     ]
     if _has_return(summary):
-        rows.append(("return", _mean_spread(summary["return"])))
-    rows.append(("length", _mean_spread(summary["length"])))
+        rows += _spread_row("return", summary["return"], summary["episodes"])
+    rows += _spread_row("length", summary["length"], summary["episodes"])
     if summary["success_rate"] is not None:
         rows.append(("success", f"{summary['success_rate']:.1%}"))
-    rows += [(f"metric {name}", value) for name, value in summary["metrics"].items()]
-    rows += [(f"reward {name}", value) for name, value in summary["rewards"].items()]
+    rows += _term_rows(summary, summary["success_rate"])
     for step, count in summary.get("failed_in", {}).items():
         rows.append((f"failed in: {step}", count))
         detail = summary["failed_for"][step].removeprefix(step).removeprefix(":").strip()
@@ -86,12 +85,40 @@ def _present(result: Mapping[str, Any], names: Iterable[str]) -> Rows:
     return [(name, result[name]) for name in names if result.get(name) is not None]
 
 
-def _mean_spread(spread: dict[str, float] | None) -> str:
+def _environments(count: int) -> str:
+    """``1 environment``, ``1,024 environments``."""
+    return f"{count:,} environment{'s' * (count != 1)}"
+
+
+def _spread_row(name: str, spread: Mapping[str, float] | None, episodes: int) -> Rows:
+    """The mean of a quantity over episodes, with its spread if there are several."""
     if spread is None:
-        return "-"
-    low = number(spread["min"])
-    high = number(spread["max"])
-    return f"{number(spread['mean'])} ± {number(spread['std'])} ({low} to {high})"
+        return []
+    mean = result_number(spread["mean"])
+    if episodes == 1:
+        return [(name, mean)]
+    low = result_number(spread["min"])
+    high = result_number(spread["max"])
+    text = f"{mean} ± {result_number(spread['std'])}"
+    if low != high:
+        text += f" ({low} to {high})"
+    return [(name, text)]
+
+
+def _term_rows(result: Mapping[str, Any], success_rate: float | None) -> Rows:
+    """The means of metrics and rewards, of those that have one.
+
+    The metric `success` is left out if its mean is the success rate, which has a row.
+    """
+    rows: Rows = []
+    for name, value in result["metrics"].items():
+        is_repeated = name == "success" and value == success_rate
+        if value is not None and not is_repeated:
+            rows.append((f"metric {name}", result_number(value)))
+    for name, value in result["rewards"].items():
+        if value is not None:
+            rows.append((f"reward {name}", result_number(value)))
+    return rows
 
 
 def collection_rows(summary: Mapping[str, Any]) -> Rows:
@@ -102,14 +129,17 @@ def collection_rows(summary: Mapping[str, Any]) -> Rows:
         "gave_up": "gave up: too many failures in a row",
         "interrupted": f"interrupted ({summary['signal']}); continue: resume={summary['folder']}",
     }
-    success_share = summary["yield"]
     rows: Rows = [
         ("ended", ends[summary["status"]]),
         ("successes", f"{summary['successes']:,} of {summary['successes_wanted']:,}"),
         ("failures", f"{summary['failures']:,}"),
-        ("yield", None if success_share is None else f"{success_share:.1%}"),
-        ("successes a minute", f"{summary['episodes_per_minute']:,.0f}"),
-        ("mean length", summary["mean_length"]),
+    ]
+    if summary["yield"] is not None:
+        rows.append(("yield", f"{summary['yield']:.1%}"))
+    rows.append(("successes a minute", f"{summary['episodes_per_minute']:,.0f}"))
+    if summary["mean_length"] is not None:
+        rows.append(("mean length", summary["mean_length"]))
+    rows += [
         ("control steps", f"{summary['control_steps']:,} in {summary['seconds']:.2f} s"),
         ("FPS", f"{summary['fps']:,.0f} environment steps/s"),
     ]
@@ -122,17 +152,33 @@ def training_rows(summary: Mapping[str, Any]) -> Rows:
     """Return the table that a training prints, from the content of its `summary.json`."""
     rows: Rows = []
     for key, value in summary.items():
-        if key in ("task", "eval", "folder"):
+        if key in ("task", "eval", "folder") or value is None:
             continue
-        cell = value
-        if key == "time_fractions":
-            cell = [f"{name} {share:.0%}" for name, share in value.items()]
-        elif key == "success_rate" and value is not None:
-            cell = f"{value:.1%}"
-        rows.append((key.replace("_", " "), cell))
+        rows.append((key.replace("_", " "), _training_cell(key, value, summary)))
     if summary.get("eval") is not None:
         rows += brief_rows(summary["eval"])
     return rows
+
+
+def _training_cell(key: str, value: Any, summary: Mapping[str, Any]) -> Any:
+    """How the table of a training shows an entry of its `summary.json`."""
+    if key == "time_fractions":
+        return ", ".join(f"{name} {share:.0%}" for name, share in value.items())
+    if key == "success_rate" or (key == "objective" and _has_success(summary)):
+        return f"{value:.1%}"
+    if key in ("env_steps", "episodes"):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return result_number(value)
+    return value
+
+
+def _has_success(summary: Mapping[str, Any]) -> bool:
+    """Whether the objective of a training is a success rate, and not a return."""
+    evaluation = summary.get("eval")
+    if evaluation is not None:
+        return evaluation["success"] is not None
+    return summary.get("success_rate") is not None
 
 
 def evaluation_rows(result: Mapping[str, Any]) -> Rows:
@@ -140,15 +186,16 @@ def evaluation_rows(result: Mapping[str, Any]) -> Rows:
     mode = "deterministic" if result["deterministic"] else "actions drawn"
     rows: Rows = [
         ("policy", f"{result['policy']} ({mode})"),
-        ("episodes", f"{result['episodes']:,} of {result['num_envs']} environments"),
+        ("episodes", f"{result['episodes']:,} of {_environments(result['num_envs'])}"),
     ]
     rows += _stage_row(result)
     rows += _success_row(result)
     rows += _estimate_rows("return", result["returns"])
     rows += _estimate_rows("length", result["length"])
-    rows += [(f"reward {name}", value) for name, value in result["rewards"].items()]
-    rows += [(f"metric {name}", value) for name, value in result["metrics"].items()]
-    rows += [(name, f"{result[name]} episodes") for name in ("terminated", "diverged")]
+    success = result["success"]
+    rows += _term_rows(result, None if success is None else success["rate"])
+    for name in ("terminated", "diverged"):
+        rows.append((name, f"{result[name]:,} episode{'s' * (result[name] != 1)}"))
     rows += _present(result, ("seed", "log", "video", "folder"))
     return rows
 
@@ -181,22 +228,26 @@ def _success_row(result: Mapping[str, Any]) -> Rows:
 
 
 def _estimate_rows(name: str, estimate: Mapping[str, Any] | None) -> Rows:
-    """Mean, interquartile mean and median of a quantity over episodes."""
+    """Mean, interquartile mean and median of a quantity over episodes; one row if all are equal."""
     if estimate is None:
-        return [(name, None)]
-    value_range = f"{number(estimate['min'])} to {number(estimate['max'])}"
+        return []
+    median = result_number(estimate["median"])
+    low = result_number(estimate["min"])
+    high = result_number(estimate["max"])
+    if low == high:
+        return [(name, median)]
     return [
         (f"{name} mean", _with_interval(estimate, "mean")),
         (f"{name} IQM", _with_interval(estimate, "iqm")),
-        (f"{name} median", f"{number(estimate['median'])}  ({value_range})"),
+        (f"{name} median", f"{median}  ({low} to {high})"),
     ]
 
 
 def _with_interval(estimate: Mapping[str, Any], key: str) -> str:
     """A value with its confidence interval, if it has one."""
-    value = number(estimate[key])
+    value = result_number(estimate[key])
     interval = estimate[f"{key}_interval"]
     if interval is None:
         return value
     low, high = interval
-    return f"{value}  [{number(low)}, {number(high)}]"
+    return f"{value}  [{result_number(low)}, {result_number(high)}]"

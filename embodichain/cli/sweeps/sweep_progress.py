@@ -19,6 +19,7 @@ from pathlib import Path
 import yaml
 
 from embodichain.cli.sweeps.sweep_jobs import read_summary
+from embodichain.cli.terminal.output import result_number
 from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
@@ -195,5 +196,5 @@ def _text(name: str, value: float) -> str:
     if name == "success":
         return f"{value:.0%}"
     if name == "return":
-        return f"{value:.4g}"
+        return result_number(value)
     return f"{value:,.0f}"

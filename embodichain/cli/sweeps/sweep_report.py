@@ -16,7 +16,7 @@ import yaml
 
 from embodichain.cli.results.comparison_tables import comparison_table, mean_of_seeds, too_few_seeds
 from embodichain.cli.sweeps.sweep_jobs import is_finished
-from embodichain.cli.terminal.output import number, print_table
+from embodichain.cli.terminal.output import number, print_table, result_number
 from embodichain.config.composition.locate import display_path
 from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
@@ -129,7 +129,7 @@ def _best_point(folder: Path, groups: Sequence[Group]) -> list[str]:
         return _best_group(groups)
     params = shown(result.get("best_params", {}))
     point = " ".join(f"{key.lstrip('+')}={value}" for key, value in params.items())
-    return [f"best objective {best_value:.4g}: {point}", str(folder / _RESULTS)]
+    return [f"best objective {result_number(best_value)}: {point}", str(folder / _RESULTS)]
 
 
 def _best_group(groups: Sequence[Group]) -> list[str]:

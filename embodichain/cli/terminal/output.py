@@ -9,6 +9,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,8 @@ __all__ = [
     "print_facts",
     "print_json",
     "print_table",
+    "result_number",
+    "result_row",
     "say_warnings",
     "to_json",
     "wrapped",
@@ -34,6 +37,10 @@ _PIPE_WIDTH = 100
 """Width of a line without a terminal."""
 _COLUMN_GAP = 3
 """Blanks that rich puts between two columns of this style of table."""
+_ROUNDED_ZERO = 1e-12
+"""Smaller values are what rounding leaves of 0, in SI units."""
+_DECIMALS = 6
+"""Decimals of a small result: in SI units, nobody acts on less."""
 
 
 def print_json(value: Mapping[str, Any]) -> None:
@@ -125,23 +132,33 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
-    """Print names and values in two columns; without a terminal no word is cut."""
-    rows = [[name, number(value)] for name, value in facts]
-    words = " ".join(value for _, value in rows).split()
-    longest_word = max(map(len, words), default=0)
-    _print(title, ["", ""], rows, folded_width=longest_word)
+    """Print names and values in two columns; without a terminal no word is cut.
+
+    Args:
+        title: Printed above the table.
+        facts: Names and values; without a value, which is None, a name is left out.
+    """
+    rows = [[name, number(value)] for name, value in facts if value is not None]
+    _print(title, ["", ""], rows, whole_words=True)
 
 
 def _print(
     title: str,
     names: Sequence[str],
     rows: Sequence[Sequence[str]],
-    folded_width: int = _FOLDED_WIDTH,
+    *,
+    whole_words: bool = False,
 ) -> None:
     """Print a table without trailing blanks; without a terminal as wide as necessary.
 
-    Columns whose cells are short or one word are not folded if the width allows it; others are at
-    least `folded_width` wide.
+    Columns whose cells are short or one word are not folded if the width allows it; others are
+    folded, between words if the width allows that.
+
+    Args:
+        title: Printed above the table.
+        names: Titles of the columns.
+        rows: The cells of each row.
+        whole_words: Without a terminal, no word is cut.
     """
     from rich import box
     from rich.table import Table
@@ -153,28 +170,81 @@ def _print(
         pad_edge=False,
         title_justify="left",
     )
-    table_width = 0
-    for index, name in enumerate(names):
-        cells = [name, *(row[index] for row in rows)]
-        is_unfolded = all(_stays_on_one_line(cell) for cell in cells)
-        width = folded_width
-        if is_unfolded:
-            width = max(map(len, cells))
-        table.add_column(name, overflow="fold", no_wrap=is_unfolded, min_width=width)
-        table_width += width + _COLUMN_GAP
+    screen = console()
+    columns = [_Column.of([name, *(row[i] for row in rows)]) for i, name in enumerate(names)]
+    gaps = len(columns) * _COLUMN_GAP
+    if not _is_bounded():
+        least_widths = [column.least for column in columns]
+        if whole_words:
+            least_widths = [max(column.least, column.longest_word) for column in columns]
+        screen.width = max(screen.width, sum(least_widths) + gaps)
+    widths = _share_width(columns, screen.width - gaps)
+    for name, width in zip(names, widths, strict=True):
+        table.add_column(name, overflow="fold", width=width)
     for row in rows:
         table.add_row(*row)
-    screen = console()
-    if not _is_bounded():
-        screen.width = max(screen.width, table_width)
-    elif table_width > screen.width:
-        for column in table.columns:
-            column.no_wrap = False
-            column.min_width = None
     with screen.capture() as capture:
         screen.print(table)
     lines = (line.rstrip() for line in capture.get().splitlines())
     sys.stdout.write("\n".join(lines) + "\n\n")
+
+
+@dataclass(frozen=True)
+class _Column:
+    """How wide a column of a table may be, in characters.
+
+    Attributes:
+        least: The least width where there is room: short cells stay on one line.
+        longest_word: The width below which words are cut.
+        longest_cell: The width that none of its cells exceeds.
+    """
+
+    least: int
+    longest_word: int
+    longest_cell: int
+
+    @classmethod
+    def of(cls, cells: Sequence[str]) -> _Column:
+        """The widths of a column with these cells, its title among them."""
+        words = " ".join(cells).split()
+        longest_word = max(map(len, words), default=0)
+        longest_cell = max(map(len, cells))
+        least = min(_FOLDED_WIDTH, longest_cell)
+        if all(map(_stays_on_one_line, cells)):
+            least = longest_cell
+        return cls(least=least, longest_word=longest_word, longest_cell=longest_cell)
+
+
+def _share_width(columns: Sequence[_Column], space: int) -> list[int]:
+    """Return the width of each column: whole words first, then short cells on one line.
+
+    Args:
+        columns: The columns.
+        space: The characters that all of them may have.
+    """
+    least_widths = [column.least for column in columns]
+    word_widths = [column.longest_word for column in columns]
+    roomy_widths = [max(column.least, column.longest_word) for column in columns]
+    widths = list(word_widths)
+    if sum(roomy_widths) <= space:
+        widths = roomy_widths
+    elif sum(word_widths) > space:
+        widths = least_widths
+    while sum(widths) > space and max(widths) > 1:
+        widest = max(range(len(widths)), key=widths.__getitem__)
+        widths[widest] -= 1
+    _grow(widths, word_widths, space)
+    _grow(widths, [column.longest_cell for column in columns], space)
+    return widths
+
+
+def _grow(widths: list[int], wanted: Sequence[int], space: int) -> None:
+    """Grow columns up to the widths that they want, the narrowest first."""
+    for _ in range(space - sum(widths)):
+        growing = [i for i, width in enumerate(wanted) if widths[i] < width]
+        if not growing:
+            return
+        widths[min(growing, key=widths.__getitem__)] += 1
 
 
 def _stays_on_one_line(cell: str) -> bool:
@@ -188,9 +258,50 @@ def number(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        if 1e3 <= abs(value) < 1e12:
-            return f"{value:,.0f}"
-        return f"{value:.4g}"
+        return _float_text(value)
+    if isinstance(value, Mapping):
+        return _nested(value)
     if isinstance(value, (list, tuple)):
-        return ", ".join(map(number, value))
+        return ", ".join(map(_nested, value))
     return str(value)
+
+
+def _nested(value: Any) -> str:
+    """A value within a cell, as in YAML: maps and sequences have their brackets."""
+    if isinstance(value, Mapping):
+        entries = (f"{key}: {_nested(item)}" for key, item in value.items())
+        return f"{{{', '.join(entries)}}}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_nested, value))}]"
+    return number(value)
+
+
+def _float_text(value: float) -> str:
+    if abs(value) < _ROUNDED_ZERO:
+        return "0"
+    if 1e3 <= abs(value) < 1e12:
+        return f"{value:,.0f}"
+    return f"{value:.4g}"
+
+
+def result_number(value: float) -> str:
+    """Format a measured value: as `number`, but a small one has six decimals and no exponent.
+
+    An error of 3e-24 m is 0 to whoever reads a table; files of results have all digits.
+
+    Args:
+        value: The value, in SI units.
+    """
+    if abs(value) >= 1e-3 or not math.isfinite(value):
+        return number(float(value))
+    text = f"{value:.{_DECIMALS}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+def result_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of a table of measured values: its floats as `result_number` writes them."""
+    cells = dict(row)
+    for name, value in row.items():
+        if isinstance(value, float):
+            cells[name] = result_number(value)
+    return cells

@@ -112,9 +112,25 @@ def test_show_tells_sensors_commands_and_curriculum(
 def test_show_prints_tables_and_the_config_alone(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["show", "task=push_cube"]) == 0
     text = capsys.readouterr().out
-    for title in ("timing", "bodies", "joints", "actuators", "spaces", "actions", "rewards"):
-        assert re.search(rf"^{title}$", text, re.MULTILINE), title
+    titles = re.findall(r"^[a-z][a-z -]+$", text.replace(": none", ""), re.MULTILINE)
+    assert titles[:6] == [
+        "timing",
+        "spaces",
+        "action vector",
+        "observation vector",
+        "rewards",
+        "terminations",
+    ]
+    for title in ("bodies", "joints", "actuators", "actions", "cameras", "initial poses"):
+        assert titles.index(title) > titles.index("terminations"), title
     assert not re.search(r" $", text, re.MULTILINE)
+    first_lines = text.splitlines()[:2]
+    assert first_lines[0] == "task: push_cube"
+    assert first_lines[1].startswith("description: ")
+    assert "num_envs: " not in text  # the config is what --config prints
+    assert "same command with --config" in text.splitlines()[-1]
+    assert re.search(r"^without: .*\bcommands\b", text, re.MULTILINE)
+    assert re.search(r"^ policy +\d+ to \d+ ", text, re.MULTILINE)  # columns of one link
     assert main(["show", "task=push_cube", "--config", "seed=7"]) == 0
     assert yaml.safe_load(capsys.readouterr().out)["seed"] == 7
 
@@ -136,6 +152,42 @@ def test_doctor_looks_at_everything(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"mujoco", "torch", "threads", "rendering", "display", "disk", "CUDA"} <= set(checks)
     assert checks["mujoco"]["found"].startswith("4.")
     assert checks["disk"]["found"].endswith(str(Path("outputs").resolve()))
+
+
+def test_doctor_begins_with_what_does_not_work(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from importlib import metadata
+
+    versions = metadata.version
+
+    def without(*absent: str) -> None:
+        def version(name: str) -> str:
+            if name in absent:
+                raise metadata.PackageNotFoundError(name)
+            return versions(name)
+
+        monkeypatch.setattr(metadata, "version", version)
+
+    def first_rows() -> list[list[str]]:
+        return [line.split() for line in capsys.readouterr().out.splitlines()[4:6]]
+
+    without("onnxruntime", "matplotlib", "pyarrow")
+    assert main(["doctor"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("this machine: ready\n")
+    assert "missing" not in out and "pip install" not in out
+    (absent,) = [line for line in out.splitlines() if line.startswith("optional, not installed:")]
+    assert absent == "optional, not installed: plot, export, parquet, lerobot"
+    assert main(["doctor", "--extras"]) == 0
+    words = capsys.readouterr().out.split()
+    assert "'embodichain[plot]'" in words
+    assert {"pandas", "ros2", "frames"} <= set(words)  # what is installed has its purpose too
+
+    without("mcap")
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    assert main(["doctor"]) == 1
+    assert [row[:2] for row in first_rows()] == [["mcap", "failed"], ["rendering", "limited"]]
 
 
 def test_doctor_warns_about_global_random_numbers(

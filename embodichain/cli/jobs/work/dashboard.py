@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
+from embodichain.cli.terminal.output import result_number
 from embodichain.cli.terminal.reporting import ProgressDisplay, progress_row
 
 if TYPE_CHECKING:
@@ -23,11 +25,11 @@ _COLOURS = {"physics": "cyan", "environment": "blue", "policy": "green", "update
 
 
 class _Row(NamedTuple):
-    """A result that has a curve: its value now, how it is written, and the ends of its scale."""
+    """A result that has a curve: its value now, its text, and the ends of its scale."""
 
     name: str
     value: float | None
-    form: str
+    text: Callable[[float], str]
     scale: tuple[float, float] | None = None
 
 
@@ -65,7 +67,7 @@ class Dashboard(ProgressDisplay):
             "episodes": str(statistics.episodes),
         }
         if statistics.mean_return is not None:
-            facts["return"] = f"{statistics.mean_return:.3g}"
+            facts["return"] = result_number(statistics.mean_return)
         if statistics.success_rate is not None:
             facts["success"] = f"{statistics.success_rate:.0%}"
         self.show(statistics.env_steps, facts, lambda: self._draw(statistics))
@@ -85,15 +87,15 @@ class Dashboard(ProgressDisplay):
         rows.add_row("speed", f"{speed:,.0f} steps/s", bar)
         rows.add_row("time", f"{_clock(statistics.seconds)}, left {time_left}", legend)
         for row in (
-            _Row("return", statistics.mean_return, ".4g"),
-            _Row("success", statistics.success_rate, ".0%", scale=(0.0, 1.0)),
-            _Row("length", statistics.mean_length, ".4g"),
+            _Row("return", statistics.mean_return, result_number),
+            _Row("success", statistics.success_rate, "{:.0%}".format, scale=(0.0, 1.0)),
+            _Row("length", statistics.mean_length, result_number),
         ):
             if row.value is None:
                 rows.add_row(row.name, "-", "")
             else:
                 curve = self._curve(row.name, row.value, done / self._steps, row.scale)
-                rows.add_row(row.name, format(row.value, row.form), curve)
+                rows.add_row(row.name, row.text(row.value), curve)
         rows.add_row("best", *_best(statistics))
         rows.add_row("episodes", f"{statistics.episodes:,}", "")
         dashboard = Table.grid(expand=True)
@@ -156,7 +158,7 @@ def _best(statistics: TrainStatistics) -> tuple[str, str]:
         return "-", ""
     steps, (success, mean_return) = statistics.best
     if statistics.success_rate is None:
-        score = f"return {mean_return:.4g}"
+        score = f"return {result_number(mean_return)}"
     else:
         score = f"success {success:.0%}"
     return score, f"at {steps:,} steps"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.job import Job, policy_of
-from embodichain.cli.terminal.output import to_json
+from embodichain.cli.terminal.output import result_number, to_json
 from embodichain.cli.terminal.reporting import ProgressDisplay, episodes_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.system.atomic import write_text
@@ -140,7 +140,7 @@ def _facts(counted: EpisodeStatistics) -> dict[str, str]:
     mean_return = counted.mean("return")
     success = counted.mean("success")
     if mean_return is not None:
-        facts["return"] = f"{mean_return:.3g}"
+        facts["return"] = result_number(mean_return)
     if success is not None:
         facts["success"] = f"{success:.0%}"
     return facts

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.cli.jobs.job import Job, policy_of
 from embodichain.cli.jobs.work.summary_file import failure_in_summary, write_summary
 from embodichain.cli.results.summaries import run_rows
-from embodichain.cli.terminal.output import print_facts, print_json
+from embodichain.cli.terminal.output import print_facts, print_json, result_number
 from embodichain.cli.terminal.reporting import ProgressDisplay, episodes_of
 from embodichain.lab.gym.failures import failed_in
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
@@ -216,7 +216,7 @@ def _facts(counted: EpisodeStatistics, max_steps: int | None, seconds: float) ->
     mean_return = counted.mean("return")
     success = counted.mean("success")
     if mean_return:  # a task without rewards always returns 0
-        facts["return"] = f"{mean_return:.3g}"
+        facts["return"] = result_number(mean_return)
     if success is not None:
         facts["success"] = f"{success:.0%}"
     return facts

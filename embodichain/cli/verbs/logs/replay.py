@@ -14,7 +14,13 @@ from embodichain.cli.jobs.access_options import AccessOptions, access_options, n
 from embodichain.cli.jobs.job import describe_early_end, film_progress
 from embodichain.cli.jobs.watching import Watching
 from embodichain.cli.terminal import process
-from embodichain.cli.terminal.output import print_facts, print_json, print_table, say_warnings
+from embodichain.cli.terminal.output import (
+    print_facts,
+    print_json,
+    print_table,
+    result_row,
+    say_warnings,
+)
 from embodichain.cli.terminal.process import Interrupted, StopFlag
 from embodichain.cli.terminal.reporting import ProgressDisplay, warn_if_public
 from embodichain.cli.verb import log_argument, verb
@@ -300,9 +306,9 @@ def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
         ("attachments", list(summary.attachments)),
         ("verifiable", _describe_verification(header)),
     ]
-    print_facts(str(summary.path), facts)
+    print_facts(str(summary.path), result_row(dict(facts)).items())
     print_table("channels", [asdict(channel) for channel in summary.channels])
-    print_table("episodes", [_row(episode) for episode in episodes[:_MOST_EPISODES]])
+    print_table("episodes", [result_row(_row(episode)) for episode in episodes[:_MOST_EPISODES]])
     if len(episodes) > _MOST_EPISODES:
         sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
 

@@ -8,18 +8,20 @@ from __future__ import annotations
 import os
 import platform
 import re
-import shlex
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
+import click
+
 from embodichain.cli.terminal import process
-from embodichain.cli.terminal.output import print_json, print_table
+from embodichain.cli.terminal.output import print_json, print_table, wrapped
 from embodichain.cli.verb import verb
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.register import Register
@@ -77,6 +79,8 @@ _CORE = (
     "protobuf",
     "rich",
 )
+_STATE_WORDS = {"fail": "failed", "warn": "limited", "ok": "ok", "missing": "not here"}
+"""State of a check -> how the table calls it, in the order of its rows."""
 _LOW_DISK_GB = 2.0
 _BALL = "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></mujoco>"
 _NO_PICTURE = (
@@ -94,12 +98,14 @@ class Check:
         state: ``ok``; ``warn``: works with limits; ``missing``: optional, not installed; ``fail``.
         found: The result.
         advice: What to do, or empty.
+        purpose: What an optional package is for, or empty.
     """
 
     part: str
     state: Literal["ok", "warn", "missing", "fail"]
     found: str
     advice: str = ""
+    purpose: str = ""
 
 
 @dataclass(frozen=True)
@@ -107,34 +113,92 @@ class DoctorOptions:
     """What was typed after `doctor`.
 
     Attributes:
+        extras: Print what each optional package is for, and how to install it.
         json: Print the result as one JSON object.
     """
 
+    extras: bool
     json: bool
 
 
 @verb(
     "doctor",
-    ("doctor", "a table, with what to do about what is missing"),
+    ("doctor", "what does not work is on top"),
+    ("doctor --extras", "what each extra is for, and how to install it"),
     ("doctor --json", ""),
     options=DoctorOptions,
 )
+@click.option("--extras", is_flag=True, help="What each extra is for, and how to install it.")
 def command(options: DoctorOptions) -> int:
     """Run all checks and print their results."""
-    checks = [
+    machine = [
         *_versions(),
         *_threads(),
         *_rendering(),
         *_display(),
         *_disk(),
         *_randomness(),  # the first that imports MuJoCo: it reports whether that is possible
-        *_optional(),
     ]
+    extras = list(_extras())
+    machine.append(_cuda())
     if options.json:
-        print_json({"checks": [asdict(check) for check in checks]})
+        print_json({"checks": [asdict(check) for check in (*machine, *extras)]})
     else:
-        print_table("this machine", [asdict(check) for check in checks])
-    return process.FAILED if any(check.state == "fail" for check in checks) else process.OK
+        _print_machine(machine)
+        if options.extras:
+            _print_extras(extras)
+        else:
+            _summarize_extras(extras)
+    return process.FAILED if any(check.state == "fail" for check in machine) else process.OK
+
+
+def _print_machine(checks: Sequence[Check]) -> None:
+    """Print what was checked of this machine; what does not work is on top."""
+    packages = [check for check in checks if check.part in _CORE and check.state == "ok"]
+    versions = ", ".join(f"{check.part} {check.found}" for check in packages)
+    rows = [check for check in checks if check not in packages]
+    if versions:
+        rows.insert(2, Check("packages", "ok", versions))  # after Python
+    rows.sort(key=lambda check: list(_STATE_WORDS).index(check.state))
+    table = []
+    for check in rows:
+        state = _STATE_WORDS[check.state]
+        table.append({"part": check.part, "state": state, "result": check.found})
+    if any(check.advice for check in rows):
+        for row, check in zip(table, rows, strict=True):
+            row["advice"] = check.advice
+    print_table(f"this machine: {_verdict(checks)}", table)
+
+
+def _verdict(checks: Sequence[Check]) -> str:
+    """Whether tasks can run here, in a few words."""
+    counts = Counter(check.state for check in checks)
+    if counts["fail"]:
+        return f"not ready, {counts['fail']} of the checks failed"
+    if counts["warn"]:
+        return f"ready, but {counts['warn']} of the checks found a limit"
+    return "ready"
+
+
+def _print_extras(checks: Sequence[Check]) -> None:
+    """Print a row for each optional package, those that are not installed last."""
+    rows = []
+    for check in sorted(checks, key=lambda check: check.state == "missing"):
+        what_for = check.purpose
+        if check.advice:
+            what_for = check.advice
+        rows.append({"part": check.part, "packages": check.found, "for": what_for})
+    print_table("optional", rows)
+
+
+def _summarize_extras(checks: Sequence[Check]) -> None:
+    """Print the names of the optional packages that are installed, and of the others."""
+    installed = [check.part for check in checks if check.state == "ok"]
+    others = [check.part for check in checks if check.state != "ok"]
+    for state, names in (("installed", installed), ("not installed", others)):
+        if names:
+            sys.stdout.write(wrapped(f"optional, {state}: {', '.join(names)}") + "\n")
+    sys.stdout.write("what each is for, and how to install it: embodichain doctor --extras\n")
 
 
 def _installed(packages: Sequence[str]) -> tuple[dict[str, str], list[str]]:
@@ -230,19 +294,17 @@ def _disk() -> Iterator[Check]:
         yield Check("outputs", "warn", f"{existing} cannot be written", "run elsewhere")
 
 
-def _optional() -> Iterator[Check]:
+def _extras() -> Iterator[Check]:
     users = _users_of_packages()
     for extra, (purpose, *packages) in EXTRAS.items():
         requirement = f"embodichain[{extra}]"
         about = ", ".join([purpose, *users.pop(requirement, [])])
-        yield _check_packages(extra, packages, f"{about}: pip install '{requirement}'")
+        yield _check_packages(extra, packages, about, requirement)
     for requirement, things in users.items():  # of what packages outside register
         name = re.split(r"[^\w.-]", requirement)[0]
-        advice = f"{', '.join(things)}: pip install {shlex.quote(requirement)}"
-        yield _check_packages(name, [name], advice)
+        yield _check_packages(name, [name], ", ".join(things), requirement)
     for package, purpose in OTHERS.items():
-        yield _check_packages(package, [package], f"{purpose}: pip install {package}")
-    yield _cuda()
+        yield _check_packages(package, [package], purpose, package)
 
 
 def _users_of_packages() -> dict[str, list[str]]:
@@ -276,22 +338,31 @@ def _users_of_packages() -> dict[str, list[str]]:
     return users
 
 
-def _check_packages(name: str, packages: Sequence[str], advice: str) -> Check:
+def _check_packages(name: str, packages: Sequence[str], purpose: str, requirement: str) -> Check:
     """Check that optional packages are installed.
 
     Args:
         name: Name of the check.
         packages: The packages.
-        advice: What to do if one is missing.
+        purpose: What they are for.
+        requirement: What pip installs if one is missing.
     """
     versions, missing = _installed(packages)
     installed = ", ".join(f"{package} {version}" for package, version in versions.items())
     if not missing:
-        return Check(name, "ok", installed)
+        return Check(name, "ok", installed, purpose=purpose)
     result = f"not installed: {', '.join(missing)}"
     if installed:
         result += f" (there: {installed})"
-    return Check(name, "missing", result, advice)
+    advice = f"{purpose}: pip install {_quote(requirement)}"
+    return Check(name, "missing", result, advice, purpose)
+
+
+def _quote(requirement: str) -> str:
+    """A requirement for a shell; in quotes where one could read more into it."""
+    if re.fullmatch(r"[\w.-]+", requirement):
+        return requirement
+    return f"'{requirement}'"
 
 
 def _cuda() -> Check:

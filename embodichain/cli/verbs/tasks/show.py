@@ -15,13 +15,16 @@ from embodichain.cli.jobs.unread_keys import verb_of_keys
 from embodichain.cli.terminal.output import print_facts, print_json, print_table, wrapped
 from embodichain.cli.verb import overrides, verb
 from embodichain.cli.words import split_overrides
-from embodichain.utils.env_text import hidden_in, shown
+from embodichain.utils.env_text import as_written, hidden_in, shown
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
 
 __all__ = ["command"]
+
+_SHOWN_EMPTY = ("rewards", "terminations")
+"""Tables whose absence is said in their place; other empty tables share the last line."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class ShowOptions:
 
 @verb(
     "show",
-    ("show task=reach", "everything"),
+    ("show task=reach", "columns, times, rewards, terminations, the scene"),
     ("show term within_distance", "what one term takes, with an example"),
     ("show task=reach --config", "only the resolved config, as YAML"),
     ("show task=reach --json", "everything, for scripts"),
@@ -52,7 +55,7 @@ class ShowOptions:
 @overrides("task=NAME [KEY=VALUE]... | term NAME", "term")
 @click.option("--config", is_flag=True, help="Only the resolved config, as YAML.")
 def command(options: ShowOptions) -> None:
-    """Print all tables of a task, only its resolved config, or one term.
+    """Print the tables of a task, only its resolved config, or one term.
 
     Raises:
         ConfigError: If there is no such task or term, or the task has mistakes.
@@ -84,9 +87,8 @@ def _show_config(resolved: Resolved, *, json: bool) -> None:
 
 
 def _show_task(resolved: Resolved, *, json: bool) -> None:
-    """Build the environment, and print the config and its tables."""
-    from embodichain.cli.results.show_task import task_tables, without_defaults
-    from embodichain.config.resolved import dump_yaml
+    """Build the environment, and print its tables; as JSON with the config."""
+    from embodichain.cli.results.show_task import printed_rows, task_tables
 
     tables = hidden_in(task_tables(resolved))
     if json:
@@ -95,14 +97,22 @@ def _show_task(resolved: Resolved, *, json: bool) -> None:
             facts["notes"] = [asdict(note) for note in resolved.notes]
         print_json(facts | tables)
         return
-    sys.stdout.write(f"# {resolved.task_name}, resolved\n{dump_yaml(resolved.tree)}\n")
+    sys.stdout.write(f"task: {resolved.task_name}\n")
+    description = as_written(resolved.tree["task"].get("description"))
+    if description:
+        sys.stdout.write(wrapped(f"description: {description}") + "\n")
     for note in resolved.notes:
         sys.stdout.write(f"note: {note}\n")
+    sys.stdout.write("\n")
     for title, rows in tables.items():
-        if isinstance(rows, dict):
+        if isinstance(rows, dict) and rows:
             print_facts(title, rows.items())
-        else:
-            print_table(title, without_defaults(title, rows))
+        elif rows or title in _SHOWN_EMPTY:
+            print_table(title, printed_rows(title, rows))
+    empty = [title for title, rows in tables.items() if not rows and title not in _SHOWN_EMPTY]
+    if empty:
+        sys.stdout.write(wrapped(f"without: {', '.join(empty)}") + "\n")
+    sys.stdout.write("all of its config: the same command with --config\n")
 
 
 def _show_term(name: str, *, json: bool) -> None:
