@@ -106,6 +106,20 @@ class _Field(NamedTuple):
     param: str
 
 
+class _Disturbed(NamedTuple):
+    """What a variation gives noise and delay.
+
+    Attributes:
+        section: ``observations`` or ``actions``.
+        key: The term, or `EACH`.
+        path: Key path of the entry in the variation.
+    """
+
+    section: str
+    key: str
+    path: str
+
+
 class _Merger:
     """Merges variations into one task, in place.
 
@@ -119,8 +133,6 @@ class _Merger:
         self._merged = merged
         self._task = task
         self._source = source
-        # Key path of noise or delay for each term -> the terms that have their own.
-        self._left_alone: dict[str, list[str]] = {}
 
     def add(self, name: str, variation: Any) -> None:
         """Merge one variation; mistakes are collected."""
@@ -138,7 +150,6 @@ class _Merger:
             self._note(path, f"changes nothing: this task has no {listing(missing)}")
             return
         changes_before = len(self._merged.origins) + len(self._merged.problems)
-        self._left_alone = {}
         objects = dict(self._entries(variation, "objects", path))
         added = list(objects)[: round(strength * len(objects))]
         for name in added:
@@ -153,9 +164,11 @@ class _Merger:
         for section in ("observations", "actions"):
             for key, disturbance in self._entries(variation, section, path):
                 where = f"{path}.{section}.{key}"
-                self._disturb(section, key, disturbance, where, strength)
-        for where, terms in self._left_alone.items():
-            self._note(where, f"does not change that of {listing(terms)}, which the task sets")
+                disturbed = _Disturbed(section, key, where)
+                unchanged_terms = self._disturb(disturbed, disturbance, strength)
+                for name, terms in unchanged_terms.items():
+                    message = f"does not change that of {listing(terms)}, which the task sets"
+                    self._note(f"{where}.{name}", message)
         changes = len(self._merged.origins) + len(self._merged.problems)
         if changes == changes_before and strength > 0.0:
             self._note(path, "changes nothing: this task has none of what it is about")
@@ -263,9 +276,16 @@ class _Merger:
     # -- noise and delay -----------------------------------------------------------------------
 
     def _disturb(
-        self, section: str, key: str, disturbance: Tree, path: str, strength: float
-    ) -> None:
-        """Give noise and delay to a term of the task, or to each one."""
+        self, disturbed: _Disturbed, disturbance: Tree, strength: float
+    ) -> dict[str, list[str]]:
+        """Give noise and delay to a term of the task, or to each one.
+
+        Returns:
+            ``noise`` or ``delay`` -> the terms that keep what the task gives them.
+        """
+        section = disturbed.section
+        key = disturbed.key
+        path = disturbed.path
         weakened: Tree = {}
         for name, value in disturbance.items():
             if name not in _DISTURBANCES:
@@ -286,9 +306,12 @@ class _Merger:
             hint = did_you_mean(key, [*terms, EACH]).strip()
             message = f"the task has no such term; there are: {listing([*terms, EACH], key)}"
             self._report(path, message, hint)
-            return
+            return {}
+        unchanged_terms: dict[str, list[str]] = {}
         for name in names:
-            self._set_keys(section, name, weakened, path, is_each=key == EACH)
+            for unchanged_key in self._set_keys(disturbed, name, weakened):
+                unchanged_terms.setdefault(unchanged_key, []).append(name)
+        return unchanged_terms
 
     def _disturbed_terms(self, section: str, terms: Tree) -> Iterator[str]:
         """The terms that `each` means: of observations the policy's, without pictures."""
@@ -311,31 +334,35 @@ class _Merger:
             return False
         return params.get("sensor") in _cameras(self._task)
 
-    def _set_keys(self, section: str, name: str, keys: Tree, path: str, *, is_each: bool) -> None:
+    def _set_keys(self, disturbed: _Disturbed, name: str, keys: Tree) -> list[str]:
         """Set keys of a term that has none of them.
 
         Args:
-            section: ``observations`` or ``actions``.
+            disturbed: What a variation disturbs.
             name: The term.
             keys: Its `noise` and `delay`.
-            path: Where a variation has them.
-            is_each: Whether they are meant for every term: those of the task's own then stay.
+
+        Returns:
+            The keys that the task has set for the term, where every term was meant.
         """
-        term = self._task[section][name]
+        term = self._task[disturbed.section][name]
         if not isinstance(term, dict):
-            return  # the check of types reports it
+            return []  # the check of types reports it
+        unchanged_keys: list[str] = []
         for key, value in keys.items():
-            target = f"task.{section}.{name}.{key}"
+            path = f"{disturbed.path}.{key}"
+            target = f"task.{disturbed.section}.{name}.{key}"
             if term.get(key) in (None, 0):
                 term[key] = copy.deepcopy(value)
-                self._merged.origins[target] = f"{path}.{key}"
+                self._merged.origins[target] = path
+                continue
+            is_of_task = target not in self._merged.origins
+            if disturbed.key == EACH and is_of_task:
+                unchanged_keys.append(key)
                 continue
             place = self._source(self._merged.origins.get(target, target))
-            is_of_task = target not in self._merged.origins
-            if is_each and is_of_task:
-                self._left_alone.setdefault(f"{path}.{key}", []).append(name)
-            else:
-                self._report(f"{path}.{key}", f"{target} is set already ({place})")
+            self._report(path, f"{target} is set already ({place})")
+        return unchanged_keys
 
 
 def _fields_of(event: Any) -> set[_Field]:
