@@ -19,6 +19,7 @@ from omegaconf import OmegaConf
 from embodichain.config.composition.composed import (
     ParsedOverrides,
     apply_values,
+    compose_variations,
     parse,
     plain_values,
 )
@@ -27,6 +28,7 @@ from embodichain.config.composition.given_last import keep_last_given
 from embodichain.config.composition.hydra_loader import config_loader
 from embodichain.config.composition.locate import COMMAND_LINE, Locator
 from embodichain.config.composition.removed_entries import remove_null_entries
+from embodichain.config.composition.variations import merge_variations
 from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.errors import ConfigError, Problem
@@ -35,6 +37,8 @@ __all__ = ["read_config", "resolve_run", "task_of"]
 
 _FOLDER = re.compile(r"\d\d-\d\d-\d\d_(.+?)(_\d+)?")  # see `run_folder.claim`
 _GROUPS = ("record", "viewer", "sim")
+_VARIATION = "variation"
+_VARIATIONS = "task.variations"
 
 
 def resolve_run(
@@ -48,7 +52,7 @@ def resolve_run(
 
     Args:
         folder: The run's folder.
-        overrides: ``key=value``, and options of the groups record, viewer and sim.
+        overrides: ``key=value``, and options of the groups record, viewer, sim and variation.
         values: Keys of the root to set before the overrides.
         only_reads: Whether variables of the environment are not needed where no environment reads
             them; see `as_reader`.
@@ -69,21 +73,27 @@ def resolve_run(
         problems = [*parsed.problems, *_unfit(parsed)]
         if problems:
             raise ConfigError(problems)
-        options = [line for line in parsed.for_hydra if not line.startswith("~")]
+        chosen_variations = compose_variations(
+            [line for line in parsed.for_hydra if _group_of(line) == _VARIATION], loader
+        )
+        options = [line for line in parsed.for_hydra if _group_of(line) in _GROUPS]
         chosen = loader.load_configuration("run", [*options, "~task"], RunMode.RUN)
         for line in options:
             group = line.partition("=")[0]
             tree[group] = OmegaConf.to_container(chosen[group], resolve=True)
     config = OmegaConf.create(for_omegaconf(tree, str(source)))
+    if chosen_variations.entries:
+        variations = OmegaConf.create(chosen_variations.entries)
+        OmegaConf.update(config, "task.variations", variations, force_add=True)
     problems = apply_values(config, parsed.values)
     if problems:
         raise ConfigError(problems)
-    locator = Locator((), parsed.values)
+    locator = Locator(chosen_variations.files, parsed.values)
     changed, problems = plain_values(config, locator)
     if problems:
         raise ConfigError(
             problem
-            if _is_typed(problem, parsed)
+            if _is_typed(problem.path, parsed)
             else not_taken(
                 problem.path,
                 _value(tree, problem.path),
@@ -96,27 +106,49 @@ def resolve_run(
     problems += keep_last_given(changed, locator.rank)
     if problems:
         raise ConfigError(problem.at(COMMAND_LINE) for problem in problems)
+
+    def source_of(path: str) -> str:
+        """Where a key was set: a variation or an override, else the run's config."""
+        is_of_variation = any(_is_below(path, key) for key in (_VARIATIONS, *locator.origins))
+        if is_of_variation or _is_typed(path, parsed):
+            return locator.source(path)
+        return str(source)
+
+    merged = merge_variations(changed, source_of, is_of_run=True)
+    if merged.problems:
+        raise ConfigError(problem.at(source_of(problem.path)) for problem in merged.problems)
+    locator = dataclasses.replace(locator, origins=merged.origins)
     try:
         resolved = resolve_tree(
-            changed, str(source), "run", task_name=task_of(folder), allow_import=True
+            merged.tree, str(source), "run", task_name=task_of(folder), allow_import=True
         )
     except ConfigError as error:
+        sources = [(problem, source_of(problem.path)) for problem in error.problems]
         raise ConfigError(
-            dataclasses.replace(problem, source=COMMAND_LINE)
-            if _is_typed(problem, parsed)
-            else problem
-            for problem in error.problems
+            problem if place == str(source) else dataclasses.replace(problem, source=place)
+            for problem, place in sources
         ) from error
-    return dataclasses.replace(resolved, overrides=tuple(overrides))
+    return dataclasses.replace(
+        resolved,
+        overrides=tuple(overrides),
+        notes=(*resolved.notes, *merged.notes),
+        varied=frozenset(merged.origins),
+    )
 
 
-def _is_typed(problem: Problem, parsed: ParsedOverrides) -> bool:
-    """Whether a mistake is at the key of an override, or below it."""
-    for override in parsed.values:
-        key = override.key_or_group
-        if problem.path == key or problem.path.startswith(f"{key}."):
-            return True
-    return False
+def _is_typed(path: str, parsed: ParsedOverrides) -> bool:
+    """Whether a key is that of an override, or below it."""
+    return any(_is_below(path, override.key_or_group) for override in parsed.values)
+
+
+def _is_below(path: str, key: str) -> bool:
+    """Whether a key path is a key, or below it."""
+    return path == key or path.startswith(f"{key}.")
+
+
+def _group_of(line: str) -> str:
+    """The group of which an override chooses an option, without its package."""
+    return line.lstrip("+").partition("=")[0].partition("@")[0]
 
 
 def _gives(tree: Any, path: str) -> bool:
@@ -165,8 +197,9 @@ def _unfit(parsed: ParsedOverrides) -> list[Problem]:
     """A problem for each override that is not allowed for an earlier run."""
     problems = []
     for line in parsed.for_hydra:
-        group = line.lstrip("+~").partition("=")[0]
-        if group not in _GROUPS or line.startswith("~"):
-            message = f"{line!r} does not change a run that was made; groups: {', '.join(_GROUPS)}"
+        group = _group_of(line.lstrip("~"))
+        if group not in (*_GROUPS, _VARIATION) or line.startswith("~"):
+            listed = ", ".join((*_GROUPS, _VARIATION))
+            message = f"{line!r} does not change a run that was made; groups: {listed}"
             problems.append(Problem(group, message, source=COMMAND_LINE))
     return problems

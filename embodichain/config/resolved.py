@@ -94,6 +94,7 @@ class Resolved:
         declared: The scene of the task as the check has read it, for `compile_scene_of`; None:
             that reads the files again. It is not a part of the config.
         token: The viewer's, which `tree` does not have; ``auto`` and ``none`` as in the config.
+        varied: Key paths that variations have set. It is not a part of the config.
     """
 
     tree: Mapping[str, Any]
@@ -103,6 +104,7 @@ class Resolved:
     source: Callable[[str], str] = field(default=lambda path: "", repr=False, compare=False)
     declared: DeclaredScene | None = field(default=None, repr=False, compare=False)
     token: str = field(default=AUTO, repr=False, compare=False)
+    varied: frozenset[str] = field(default=frozenset(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Take the viewer's token out of the overrides, which are recorded."""
@@ -139,7 +141,7 @@ class Resolved:
             num_threads=root.sim.num_threads,
             persistent=root.sim.persistent,
         )
-        cfg.key_sources = KeySources(self.source)
+        cfg.key_sources = KeySources(self.source, varied=self.varied)
         return cfg
 
     def changed(self, **values: Any) -> Resolved:
@@ -243,6 +245,7 @@ class Checked:
         overrides: As typed.
         notes: What was left out or changed in converting a gym config.
         ships: Whether the policy that ships for the task may be chosen.
+        varied: Key paths that variations have set.
     """
 
     check: Check
@@ -252,6 +255,7 @@ class Checked:
     overrides: tuple[str, ...] = ()
     notes: tuple[Problem, ...] = ()
     ships: bool = False
+    varied: frozenset[str] = frozenset()
 
     def locating(self, section: str = "") -> AbstractContextManager[None]:
         """Add file and line to the mistakes raised inside the context; see `Resolved.locating`."""
@@ -267,7 +271,7 @@ class Checked:
         if self.ships:
             resolved = _with_pretrained(resolved)
         notes = (*self.notes, *resolved.notes)
-        return replace(resolved, overrides=self.overrides, notes=notes)
+        return replace(resolved, overrides=self.overrides, notes=notes, varied=self.varied)
 
 
 def resolve(
@@ -305,6 +309,7 @@ def check_config(composed: Composed, verb: JobVerb) -> Checked:
         overrides=composed.overrides,
         notes=composed.notes,
         ships=True,
+        varied=frozenset(composed.locator.origins),
     )
 
 

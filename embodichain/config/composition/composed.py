@@ -53,10 +53,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "WITHOUT_TASK",
+    "ChosenVariations",
     "Composed",
     "ParsedOverrides",
     "apply_values",
     "compose",
+    "compose_variations",
     "from_hydra",
     "list_options",
     "parse",
@@ -190,6 +192,48 @@ def compose(
         problems=tuple(problems),
         notes=(*(gym.notes if gym is not None else ()), *merged.notes),
     )
+
+
+@dataclass(frozen=True)
+class ChosenVariations:
+    """Options of the group `variation`, composed without a task.
+
+    Attributes:
+        entries: Name -> the variation, as it would be in a task.
+        files: Their files, in the order of merging.
+    """
+
+    entries: dict[str, Any]
+    files: tuple[ConfigFile, ...]
+
+
+def compose_variations(lines: Sequence[str], loader: ConfigLoader) -> ChosenVariations:
+    """Compose options of the group `variation` alone, for a task that was composed before.
+
+    Args:
+        lines: Their choices, as `parse` returns them for Hydra.
+        loader: Composes; a `config_loader`.
+
+    Raises:
+        ConfigError: Their files have mistakes.
+    """
+    if not lines:
+        return ChosenVariations({}, ())
+    try:
+        config = loader.load_configuration("run", [*lines, WITHOUT_TASK], RunMode.RUN)
+    except COMPOSING as error:
+        raise ConfigError(explain(error, loader)) from error
+    folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
+    files, _ = _files(loader.merged, folders, None)
+    varying = [file for file in files if file.package.startswith(f"{_VARIATIONS}.")]
+    problems = _misplaced_variations(loader.merged, files)
+    for file in varying:
+        problems += file.problems()
+    if problems:
+        raise ConfigError(problems)
+    entries = OmegaConf.select(config, _VARIATIONS)
+    plain = {} if entries is None else OmegaConf.to_container(entries, resolve=False)
+    return ChosenVariations(plain, tuple(varying))
 
 
 def from_hydra() -> Composed:

@@ -53,12 +53,16 @@ class Merged:
     notes: list[Problem] = field(default_factory=list)
 
 
-def merge_variations(tree: Mapping[str, Any], source: Callable[[str], str]) -> Merged:
+def merge_variations(
+    tree: Mapping[str, Any], source: Callable[[str], str], *, is_of_run: bool = False
+) -> Merged:
     """Return a copy of a composed config whose task has its variations merged.
 
     Args:
         tree: Plain dicts and lists.
         source: Function from a key path to where the key was set, for messages.
+        is_of_run: Whether the task is that of an earlier run. What it had of these variations, at
+            whatever strength, is replaced.
     """
     merged = Merged(copy.deepcopy(dict(tree)))
     task = merged.tree.get("task")
@@ -71,7 +75,7 @@ def merge_variations(tree: Mapping[str, Any], source: Callable[[str], str]) -> M
         message = f"expected a map, got {show_value(variations)}"
         merged.problems.append(Problem("task.variations", message))
         return merged
-    merger = _Merger(merged, task, source)
+    merger = _Merger(merged, task, source, is_of_run=is_of_run)
     chosen = [name for name, entry in variations.items() if _has_content(entry)]
     for name, variation in variations.items():
         if variation is None:  # null takes an inherited one out
@@ -106,6 +110,20 @@ class _Field(NamedTuple):
     param: str
 
 
+class _Disturbed(NamedTuple):
+    """What a variation gives noise and delay.
+
+    Attributes:
+        section: ``observations`` or ``actions``.
+        key: The term, or `EACH`.
+        path: Key path of the entry in the variation.
+    """
+
+    section: str
+    key: str
+    path: str
+
+
 class _Merger:
     """Merges variations into one task, in place.
 
@@ -113,14 +131,21 @@ class _Merger:
         merged: The result; the task is a part of its tree.
         task: The task.
         source: Function from a key path to where the key was set.
+        is_of_run: Whether the task is that of an earlier run.
     """
 
-    def __init__(self, merged: Merged, task: Tree, source: Callable[[str], str]) -> None:
+    def __init__(
+        self,
+        merged: Merged,
+        task: Tree,
+        source: Callable[[str], str],
+        *,
+        is_of_run: bool = False,
+    ) -> None:
         self._merged = merged
         self._task = task
         self._source = source
-        # Key path of noise or delay for each term -> the terms that have their own.
-        self._left_alone: dict[str, list[str]] = {}
+        self._is_of_run = is_of_run
 
     def add(self, name: str, variation: Any) -> None:
         """Merge one variation; mistakes are collected."""
@@ -138,8 +163,9 @@ class _Merger:
             self._note(path, f"changes nothing: this task has no {listing(missing)}")
             return
         changes_before = len(self._merged.origins) + len(self._merged.problems)
-        self._left_alone = {}
         objects = dict(self._entries(variation, "objects", path))
+        if self._is_of_run:
+            self._remove_earlier(variation, path)
         added = list(objects)[: round(strength * len(objects))]
         for name in added:
             self._insert("objects", name, objects[name], f"{path}.objects.{name}")
@@ -153,9 +179,11 @@ class _Merger:
         for section in ("observations", "actions"):
             for key, disturbance in self._entries(variation, section, path):
                 where = f"{path}.{section}.{key}"
-                self._disturb(section, key, disturbance, where, strength)
-        for where, terms in self._left_alone.items():
-            self._note(where, f"does not change that of {listing(terms)}, which the task sets")
+                disturbed = _Disturbed(section, key, where)
+                unchanged_terms = self._disturb(disturbed, disturbance, strength)
+                for name, terms in unchanged_terms.items():
+                    message = f"does not change that of {listing(terms)}, which the task sets"
+                    self._note(f"{where}.{name}", message)
         changes = len(self._merged.origins) + len(self._merged.problems)
         if changes == changes_before and strength > 0.0:
             self._note(path, "changes nothing: this task has none of what it is about")
@@ -202,25 +230,42 @@ class _Merger:
         uids.update(_section(self._task, "articulations"))
         return [str(uid) for uid in needs if uid not in uids]
 
+    def _remove_earlier(self, variation: Tree, path: str) -> None:
+        """Take out what an earlier run has of a variation, at whatever strength."""
+        objects = dict(self._entries(variation, "objects", path))
+        removed = _remove_alike(self._task, "objects", objects)
+        events: Tree = {}
+        for key, event in self._entries(variation, "events", path):
+            events |= self._declared_events(key, event)
+        removed += _remove_alike(self._task, "events", events)
+        if removed:
+            self._note(path, f"takes the place of what the run has of it: {', '.join(removed)}")
+
     # -- events --------------------------------------------------------------------------------
 
     def _add_event(self, key: str, event: Tree, path: str, strength: float) -> None:
         """Add an event to the task, or one for each entity."""
-        declared = copy.deepcopy(event)
-        kind = declared.pop("for_each", None)
+        weakened = dict(event)
         if strength != 1.0:
-            strength_of_event = self._strength(declared.get("strength", 1.0), f"{path}.strength")
-            declared["strength"] = strength * strength_of_event
-        if kind is None:
-            self._insert("events", key, declared, path)
-            return
-        if kind not in _ENTITIES:
+            strength_of_event = self._strength(event.get("strength", 1.0), f"{path}.strength")
+            weakened["strength"] = strength * strength_of_event
+        kind = event.get("for_each")
+        if kind is not None and kind not in _ENTITIES:
             hint = did_you_mean(str(kind), _ENTITIES).strip()
             message = f"expected one of {', '.join(_ENTITIES)}, got {show_value(kind)}"
             self._report(f"{path}.for_each", message, hint)
             return
-        for uid in _ENTITIES[kind](self._task):
-            self._insert("events", f"{key}_{uid}", _named(declared, uid), path)
+        for name, declared in self._declared_events(key, weakened).items():
+            self._insert("events", name, declared, path)
+
+    def _declared_events(self, key: str, event: Tree) -> dict[str, Tree]:
+        """Return name -> event of the task: one, or one for each entity that `for_each` names."""
+        declared = copy.deepcopy(event)
+        kind = declared.pop("for_each", None)
+        if kind is None:
+            return {key: declared}
+        uids = _ENTITIES[kind](self._task) if kind in _ENTITIES else []
+        return {f"{key}_{uid}": _named(declared, uid) for uid in uids}
 
     def _insert(self, section: str, name: str, entry: Tree, path: str) -> None:
         """Add an entry to a section of the task, which must not have one of this name."""
@@ -263,9 +308,16 @@ class _Merger:
     # -- noise and delay -----------------------------------------------------------------------
 
     def _disturb(
-        self, section: str, key: str, disturbance: Tree, path: str, strength: float
-    ) -> None:
-        """Give noise and delay to a term of the task, or to each one."""
+        self, disturbed: _Disturbed, disturbance: Tree, strength: float
+    ) -> dict[str, list[str]]:
+        """Give noise and delay to a term of the task, or to each one.
+
+        Returns:
+            ``noise`` or ``delay`` -> the terms that keep what the task gives them.
+        """
+        section = disturbed.section
+        key = disturbed.key
+        path = disturbed.path
         weakened: Tree = {}
         for name, value in disturbance.items():
             if name not in _DISTURBANCES:
@@ -286,9 +338,12 @@ class _Merger:
             hint = did_you_mean(key, [*terms, EACH]).strip()
             message = f"the task has no such term; there are: {listing([*terms, EACH], key)}"
             self._report(path, message, hint)
-            return
+            return {}
+        unchanged_terms: dict[str, list[str]] = {}
         for name in names:
-            self._set_keys(section, name, weakened, path, is_each=key == EACH)
+            for unchanged_key in self._set_keys(disturbed, name, weakened):
+                unchanged_terms.setdefault(unchanged_key, []).append(name)
+        return unchanged_terms
 
     def _disturbed_terms(self, section: str, terms: Tree) -> Iterator[str]:
         """The terms that `each` means: of observations the policy's, without pictures."""
@@ -311,31 +366,35 @@ class _Merger:
             return False
         return params.get("sensor") in _cameras(self._task)
 
-    def _set_keys(self, section: str, name: str, keys: Tree, path: str, *, is_each: bool) -> None:
+    def _set_keys(self, disturbed: _Disturbed, name: str, keys: Tree) -> list[str]:
         """Set keys of a term that has none of them.
 
         Args:
-            section: ``observations`` or ``actions``.
+            disturbed: What a variation disturbs.
             name: The term.
             keys: Its `noise` and `delay`.
-            path: Where a variation has them.
-            is_each: Whether they are meant for every term: those of the task's own then stay.
+
+        Returns:
+            The keys that the task has set for the term, where every term was meant.
         """
-        term = self._task[section][name]
+        term = self._task[disturbed.section][name]
         if not isinstance(term, dict):
-            return  # the check of types reports it
+            return []  # the check of types reports it
+        unchanged_keys: list[str] = []
         for key, value in keys.items():
-            target = f"task.{section}.{name}.{key}"
+            path = f"{disturbed.path}.{key}"
+            target = f"task.{disturbed.section}.{name}.{key}"
             if term.get(key) in (None, 0):
                 term[key] = copy.deepcopy(value)
-                self._merged.origins[target] = f"{path}.{key}"
+                self._merged.origins[target] = path
+                continue
+            is_of_task = target not in self._merged.origins
+            if disturbed.key == EACH and is_of_task:
+                unchanged_keys.append(key)
                 continue
             place = self._source(self._merged.origins.get(target, target))
-            is_of_task = target not in self._merged.origins
-            if is_each and is_of_task:
-                self._left_alone.setdefault(f"{path}.{key}", []).append(name)
-            else:
-                self._report(f"{path}.{key}", f"{target} is set already ({place})")
+            self._report(path, f"{target} is set already ({place})")
+        return unchanged_keys
 
 
 def _fields_of(event: Any) -> set[_Field]:
@@ -378,6 +437,36 @@ def _reference_text(reference: Any) -> str:
     uid = str(reference.get("uid", ""))
     picked = [value for key, value in sorted(reference.items()) if key != "uid"]
     return " ".join([uid, *map(str, picked)])
+
+
+def _remove_alike(task: Tree, section: str, entries: Tree) -> list[str]:
+    """Take the entries of a section that differ from given ones in their strength at most.
+
+    Returns:
+        Their names.
+    """
+    present = task.get(section)
+    if not isinstance(present, dict):
+        return []
+    removed = [name for name, entry in entries.items() if _is_alike(present.get(name), entry)]
+    for name in removed:
+        del present[name]
+    return removed
+
+
+def _is_alike(entry: Any, other: Tree) -> bool:
+    """Whether two entries are equal but for their strength, and for how many objects they place."""
+    if not isinstance(entry, dict):
+        return False
+    entry = {key: value for key, value in entry.items() if key != "strength"}
+    other = {key: value for key, value in other.items() if key != "strength"}
+    if entry == other:
+        return True
+    arranged = _section(_section(entry, "params"), "objects")
+    others = _section(_section(other, "params"), "objects")
+    if not arranged or not all(others.get(uid) == place for uid, place in arranged.items()):
+        return False
+    return entry == {**other, "params": {**other["params"], "objects": arranged}}
 
 
 def _placed_by(event: Tree, objects: Tree) -> set[str]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -32,7 +33,9 @@ ALLOW = "allow_changed=true"
 
 GAINED = "gained"
 """Part of parameters of which an old digest does not say whether its term had them."""
-TOLD = ("rewards", "corruption", "curriculum", "mujoco", GAINED)
+VARIED = "varied"
+"""Part with the key paths that variations have set; of changes, what is at these paths."""
+TOLD = ("rewards", "corruption", "curriculum", "mujoco", GAINED, VARIED)
 """Parts that do not affect a policy's actions; a change only causes a warning."""
 
 _FORMAT = 1
@@ -40,6 +43,10 @@ _FORMAT = 1
 _RELATIVE_TOLERANCE = 1e-6
 _ABSOLUTE_TOLERANCE = 1e-12
 _MOST_SHOWN = 12
+_ORDER = "(order)"
+"""Key of a section for the order of its terms."""
+_OBJECTS = "task.objects."
+_STRENGTH = "strength"
 _NAMES = {
     "timing": "task.",
     "episode": "task.",
@@ -85,8 +92,8 @@ class TaskDigest:
     """Plain values of a task, by part.
 
     Attributes:
-        parts: ``model`` (element -> field -> value), the sections of `mdp_values`, and ``mujoco``
-            (its version).
+        parts: ``model`` (element -> field -> value), the sections of `mdp_values`, ``mujoco``
+            (its version), and ``varied`` (key paths) if variations were chosen.
     """
 
     parts: Mapping[str, Any]
@@ -108,6 +115,9 @@ class TaskDigest:
             "mujoco": mujoco.__version__,
             **mdp_values(env, group),
         }
+        sources = env.cfg.key_sources
+        if sources is not None and sources.varied:
+            parts[VARIED] = sorted(sources.varied)
         return cls(parts)
 
     def to_json(self) -> str:
@@ -130,29 +140,67 @@ class TaskDigest:
 
     def changes(self, now: TaskDigest) -> list[Change]:
         """Return the differences in `now`: first the model, then the MDP by section."""
+        varied = {*self.parts.get(VARIED, ()), *now.parts.get(VARIED, ())}
         changes: list[Change] = []
         for part in dict.fromkeys([*self.parts, *now.parts]):
+            if part == VARIED:  # says of the other parts where their values are from
+                continue
             before = self.parts.get(part)
             after = now.parts.get(part)
             gained: set[str] = set()
             if part == "model":
                 differences = _compare_models(before, after)
             elif part in SECTIONS:
-                terms = _compared_terms(part, before or {}, after or {})
+                before = _without_varied_order(part, before or {}, varied)
+                after = _without_varied_order(part, after or {}, varied)
+                terms = _compared_terms(part, before, after)
                 gained = terms.gained
                 differences = _compare_sections(part, terms.before, terms.now)
             else:
                 differences = _compare_sections(part, before, after)
-            changes += [
-                Change(
-                    part=GAINED if difference.name in gained else part,
-                    name=difference.name,
-                    before=_text(difference.before, difference.now),
-                    now=_text(difference.now, difference.before),
+            for difference in differences:
+                kind = part
+                if difference.name in gained:
+                    kind = GAINED
+                elif _is_varied(part, difference.name, varied):
+                    kind = VARIED
+                changes.append(
+                    Change(
+                        part=kind,
+                        name=difference.name,
+                        before=_text(difference.before, difference.now),
+                        now=_text(difference.now, difference.before),
+                    )
                 )
-                for difference in differences
-            ]
         return changes
+
+
+def _without_varied_order(
+    section: str, terms: Mapping[str, Any], varied: Collection[str]
+) -> Mapping[str, Any]:
+    """Return terms whose order has no term that a variation has added."""
+    if _ORDER not in terms:
+        return terms
+    order = [name for name in terms[_ORDER] if f"task.{section}.{name}" not in varied]
+    others = {name: term for name, term in terms.items() if name != _ORDER}
+    if len(order) > 1:
+        others[_ORDER] = order
+    return others
+
+
+def _is_varied(part: str, name: str, varied: Iterable[str]) -> bool:
+    """Whether a difference is one of a variation.
+
+    Args:
+        part: The part of the digest.
+        name: The difference's name.
+        varied: Key paths that variations have set.
+    """
+    if part in ("model", "initial"):  # what they add to the scene, and where it is at first
+        uids = [path.removeprefix(_OBJECTS) for path in varied if path.startswith(_OBJECTS)]
+        element = name.partition(":")[0]
+        return any(re.search(rf"(?<![\w/]){re.escape(uid)}(?!\w)", element) for uid in uids)
+    return any(re.match(rf"{re.escape(path)}(?!\w)", name) for path in varied)
 
 
 def check_unchanged(
@@ -191,17 +239,24 @@ def check_unchanged(
         lines = "".join(f"\n  {line}" for line in _lines(refused))
         message = f"{name} was {_PARTICIPLE[made]} in another task ({made} -> now):{lines}"
         raise ConfigError(f"{message}\n  {ALLOW} accepts this")
-    for line in _lines(list(changes)):
+    varied = [change for change in changes if change.part == VARIED]
+    if varied:
+        names = ", ".join(_shortened([change.name for change in varied]))
+        _log.warning("%s: variations change what was in %s: %s", name, made, names)
+    for line in _lines([change for change in changes if change.part != VARIED]):
         _log.warning("%s: changed since %s: %s", name, made, line)
     return changes
 
 
 def _lines(changes: list[Change]) -> list[str]:
-    lines = [str(change) for change in changes[:_MOST_SHOWN]]
-    more = len(changes) - len(lines)
-    if more:
-        lines.append(f"... and {more} more")
-    return lines
+    return _shortened([str(change) for change in changes])
+
+
+def _shortened(texts: list[str]) -> list[str]:
+    more = len(texts) - _MOST_SHOWN
+    if more <= 0:
+        return texts
+    return [*texts[:_MOST_SHOWN], f"... and {more} more"]
 
 
 # -- comparing ------------------------------------------------------------------------------------
@@ -316,6 +371,9 @@ def _compared_terms(
             else:
                 params.pop(key, None)
         terms_now[name] = {**term, "params": params}
+        if _STRENGTH in term or _STRENGTH in earlier:  # 1 is not written
+            terms_before[name] = {_STRENGTH: 1.0, **earlier}
+            terms_now[name] = {_STRENGTH: 1.0, **terms_now[name]}
     return _ComparedTerms(_remove_takes(terms_before), _remove_takes(terms_now), gained)
 
 

@@ -48,6 +48,7 @@ _EPISODES = "100"
     ("eval last deterministic=false", "actions drawn as in training"),
     ("eval policy.onnx task=reach", "a file, in a task"),
     ("eval random task=reach episodes=50 record=none", "random actions, without a log"),
+    ("eval last 'variation=[mass,noise]' task.variations.mass.strength=0.5", "varied conditions"),
     options=OverrideOptions,
     keys=True,
     config_dir=True,
@@ -90,7 +91,8 @@ def _repeats_training(target: Target, plan: EvaluationPlan, config: Resolved) ->
     if target.run is None or target.file is None:
         return False
     is_last_policy = target.file.name == Path(CHECKPOINT).name
-    is_other_task = any(line.startswith("task") for line in config.overrides)
+    changing = ("task", "variation")
+    is_other_task = any(line.lstrip("+~").startswith(changing) for line in config.overrides)
     if not is_last_policy or is_other_task or not plan.deterministic:
         return False
     summary_file = target.run / SUMMARY

@@ -55,11 +55,21 @@ class KeySources:
     Args:
         find: Key path from the root of the config -> ``FILE:LINE``, ``command line``, or empty.
         section: The key under which the task is.
+        varied: Key paths from the root that variations have set.
+
+    Attributes:
+        varied: As given.
     """
 
-    def __init__(self, find: Callable[[str], str], section: str = "task") -> None:
+    def __init__(
+        self,
+        find: Callable[[str], str],
+        section: str = "task",
+        varied: frozenset[str] = frozenset(),
+    ) -> None:
         self._find = find
         self._section = section
+        self.varied = varied
 
     def __deepcopy__(self, memo: Any) -> KeySources:
         """Return itself: it has no values of the config."""
