@@ -411,7 +411,7 @@ class CpuEngine(HostEngine):
             flags = self._fields.internal("opt.disableflags")
             self._call(self._kinematics.forward, self._batch, flags, ids)
         else:
-            self._call(self._batch.forward, ids, stage=_STAGE_VEL)
+            self._call(self._batch.forward, ids, _STAGE_VEL)
         self._mark_all_clean()
 
     def acceleration(self, name: str) -> F64:
@@ -459,7 +459,7 @@ class CpuEngine(HostEngine):
         if self._history:
             failed = self._step_keeping_sensors(nstep, env_ids)
         else:
-            failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
+            failed = self._call(self._batch.step, env_ids, nstep, _STAGE_NONE)
         self._mark(env_ids)
         self._copy_accelerations(env_ids)
         if listeners:
