@@ -290,13 +290,13 @@ def _shaped_call(
                 value = shape(value)
         except ConfigError as error:
             raise _moved(error, shape_path) from error
-        if is_observation and value.ndim == 1:
-            value = value[:, None]
-        elif value.ndim > 1 and not is_observation:
-            if value.shape[1:] != (1,):
-                raise ConfigError([_several_columns(name, value, kind, shape_path, columns)])
-            value = value[:, 0]
-        return value
+        if value.ndim == 1:
+            return value[:, None] if is_observation else value
+        if is_observation:
+            return value
+        if value.shape[1:] != (1,):
+            raise ConfigError([_several_columns(name, value, kind, shape_path, columns)])
+        return value[:, 0]
 
     return call
 

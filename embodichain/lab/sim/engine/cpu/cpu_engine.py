@@ -469,13 +469,14 @@ class CpuEngine(HostEngine):
 
     def _step_keeping_sensors(self, nstep: int, env_ids: EnvIndex | None) -> EnvIds | None:
         """Step as `Batch.step` does, to the bit, and keep the sensors of each physics step."""
-        ids = np.arange(self.num_envs) if env_ids is None else env_ids
-        steps = np.zeros((len(ids), nstep, self.model.nsensordata))
-        before = self._views["time"][ids, 0]
+        num_envs = self.num_envs if env_ids is None else len(env_ids)
+        steps = np.zeros((num_envs, nstep, self.model.nsensordata))
+        before = self._views["time"][:, 0].copy()
         warned = self._batch.warning.tobytes()
         failed = self._roll_out(steps, env_ids)
         if self._batch.warning.tobytes() != warned:
-            self._step_on(steps, ids, before, failed)
+            ids = np.arange(num_envs) if env_ids is None else env_ids
+            self._step_on(steps, ids, before[ids], failed)
         self._history.append(steps, env_ids)
         return failed
 
