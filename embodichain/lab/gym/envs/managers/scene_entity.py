@@ -99,14 +99,12 @@ class ResolvedEntity:
 
         Its class is not checked: this is read in every step.
         """
-        articulation: Articulation = self.asset
-        return articulation
+        return self.asset  # type: ignore[return-value]
 
     @property
     def rigid_object(self) -> RigidObject:
         """`asset` where it is known to be a rigid object."""
-        rigid_object: RigidObject = self.asset
-        return rigid_object
+        return self.asset  # type: ignore[return-value]
 
     @property
     def joints(self) -> list[int] | None:
