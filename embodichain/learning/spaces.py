@@ -78,6 +78,7 @@ class ActionScale:
         # Without bounds as with [-1, 1]: the action itself.
         self._low = np.where(self.unbounded, np.float32(-1), self._low)
         self._high = np.where(self.unbounded, np.float32(1), self._high)
+        self._is_bounded = not self.unbounded.any()
         self._identity = bool((self._low == -1).all() and (self._high == 1).all())
         bound = np.where(self.unbounded, np.float32(UNBOUNDED), np.float32(1))
         self.space = spaces.Box(-bound, bound, dtype=np.float32)
@@ -99,6 +100,8 @@ class ActionScale:
         # low + (a + 1) * (high - low) / 2 would miss `high` by a rounding error.
         half = np.float32(0.5)
         bounded = half * ((1 - scaled) * self._low + (1 + scaled) * self._high)
+        if self._is_bounded:
+            return bounded
         return np.where(self.unbounded, scaled, bounded)
 
     def inverse(self, actions: ArrayLike) -> F32:

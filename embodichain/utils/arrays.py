@@ -82,7 +82,7 @@ class Arrays:
 
     def where(self, mask: Any) -> Any:
         """Return the environments where a mask (N,) is set: sorted indices."""
-        return np.flatnonzero(mask)
+        return mask.nonzero()[0]
 
     def every(self, count: int) -> Any:
         """Return all environments, of `count`."""

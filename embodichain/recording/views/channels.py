@@ -6,7 +6,7 @@ Frames are named ``env_I/uid/link``; their parent is ``env_I``, whose parent is 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -166,52 +166,52 @@ class Scalars:
         """Schema of the message."""
         return scalars_descriptor_set(METRICS, self.names)
 
-    def sample(self, step: StepRecord) -> list[NDArray[Any]]:
-        """The scalars of a step for `encode`; later changes of the step's arrays do not matter.
-
-        Returns:
-            All scalars in the order of `names`, as (N,) arrays, or (K, N) arrays of K scalars.
+    def sample(self, step: StepRecord, env_ids: Iterable[int]) -> list[list[float]]:
+        """The scalars of environments in a step, in the order of `names`, for `encode`.
 
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
         info = step.info
-        sample = [step.reward.copy(), step.terminated.copy(), step.truncated.copy()]
+        blocks = [step.reward, step.terminated, step.truncated]
         try:
             for key in self._counts:
-                sample.append(_array(info[key]).copy())
+                blocks.append(_array(info[key]))
             for key, names in self._terms.items():
-                sample += _values_of_terms(info.get(key, {}), names)
+                blocks += _values_of_terms(info.get(key, {}), names)
         except KeyError as error:
             raise ValueError(
                 f"a step's scalars are not those of the first one: {self.names}"
             ) from error
-        for values in self._commands:
-            sample.append(values.copy())
-        return sample
+        blocks += self._commands
+        # Numbers at once: fewer than the arrays, which the next step may change.
+        return [_numbers_of(blocks, env_id) for env_id in env_ids]
 
-    def encode(
-        self, sample: Sequence[NDArray[Any]], env_id: int, weights: Mapping[str, float]
-    ) -> bytes:
+    def encode(self, sample: Sequence[float], weights: Mapping[str, float]) -> bytes:
         """Return the serialized message of an environment.
 
         Args:
-            sample: What `sample` returned.
-            env_id: The environment.
+            sample: What `sample` returned of it.
             weights: Weights of the reward terms, by which their values are multiplied.
         """
-        values: list[float] = []
-        for block in sample:
-            if block.ndim == 1:
-                values.append(block.item(env_id))
-            else:
-                values += block[:, env_id].tolist()
+        values = list(sample)
         first_reward = 3 + len(self._counts)  # after reward, terminated, truncated and counts
         for index, name in enumerate(self._terms["rewards"], first_reward):
             values[index] *= weights.get(name, 1.0)
         message = self._message(**dict(zip(self.names, values, strict=True)))
         data: bytes = message.SerializeToString()
         return data
+
+
+def _numbers_of(blocks: Sequence[NDArray[Any]], env_id: int) -> list[float]:
+    """The numbers of an environment in arrays (N,), and (K, N) of K numbers."""
+    numbers: list[float] = []
+    for block in blocks:
+        if block.ndim == 1:
+            numbers.append(block.item(env_id))
+        else:
+            numbers += block[:, env_id].tolist()
+    return numbers
 
 
 def _values_of_terms(group: Mapping[str, Any], names: Sequence[str]) -> list[NDArray[Any]]:
@@ -221,10 +221,11 @@ def _values_of_terms(group: Mapping[str, Any], names: Sequence[str]) -> list[NDA
         KeyError: If there are other terms.
     """
     if isinstance(group, TermRows) and tuple(group.names) == names:
-        return [np.array(group.rows)] if names else []
+        rows = group.rows
+        return [rows] if isinstance(rows, np.ndarray) else list(rows)
     if len(group) != len(names):
         raise KeyError(names)
-    return [_array(group[name]).copy() for name in names]
+    return [_array(group[name]) for name in names]
 
 
 def _array(value: Any) -> NDArray[Any]:

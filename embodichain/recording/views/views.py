@@ -257,11 +257,11 @@ class Views:
             self._say_endings(step, record)
         if self._viewed and step % self._every == 0:
             scalars = self.declare(record)
-            sample = scalars.sample(record)
+            samples = scalars.sample(record, self._viewed)
             weights = {} if self._rewards is None else self._rewards.weights
             messages = (
-                (viewed.metrics, scalars.encode(sample, env_id, weights))
-                for env_id, viewed in self._viewed.items()
+                (viewed.metrics, scalars.encode(sample, weights))
+                for viewed, sample in zip(self._viewed.values(), samples, strict=True)
             )
             self._sink.send(self._now(), messages)
 

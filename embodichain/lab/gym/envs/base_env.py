@@ -1179,6 +1179,10 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """(N, A) action as last given to `step`; do not write to it."""
         return self.episodes.last_action
 
+    def read_elapsed_steps(self) -> NDArray[np.int32]:
+        """`elapsed_steps` as an array (N,); do not write to it."""
+        return self.episodes.count
+
     def truncate(self, env_ids: Any) -> None:
         """Truncate the episodes of environments at the next step.
 

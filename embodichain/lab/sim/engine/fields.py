@@ -108,6 +108,7 @@ class ModelFields:
         self._num_envs = num_envs
         self._views: dict[str, NDArray[Any]] = {}
         self._internal: dict[str, NDArray[Any]] = {}
+        self._compiled: dict[str, NDArray[Any]] = {}
         self._stale: NDArray[np.bool_] = np.zeros(num_envs, np.bool_)
         self.stale = False
         self.resets_alike = True
@@ -145,7 +146,12 @@ class ModelFields:
             values: NDArray[Any] | None = self._batch.expanded(name)
             if values is not None:
                 return values
-        return compiled_field(self._batch.model, name)[None]
+        compiled = self._compiled.get(name)
+        if compiled is None:
+            compiled = compiled_field(self._batch.model, name)[None]
+            if compiled.ndim > 1:  # a view of the model's memory, unlike a single number
+                self._compiled[name] = compiled
+        return compiled
 
     def internal(self, name: str) -> NDArray[Any]:
         """(N, size) live values of a field that the engine changes for one call of the batch.

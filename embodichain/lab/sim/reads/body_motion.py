@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -69,7 +69,7 @@ class BodyMotion:
     def vector_to(self, other: BodyMotion) -> Floats:
         """(N, 3) m from this origin to another one."""
         key = ("vector", other)
-        vector = self._present_values().get(key)
+        vector = self._stored(key)
         if vector is None:
             vector = other.position() - self.position()
             self._computed[key] = vector
@@ -78,7 +78,7 @@ class BodyMotion:
     def distance_to(self, other: BodyMotion) -> Floats:
         """(N,) m from this origin to another one."""
         key = ("distance", other)
-        distance = self._present_values().get(key)
+        distance = self._stored(key)
         if distance is None:
             distance = norm(self.vector_to(other))
             self._computed[key] = distance
@@ -90,36 +90,38 @@ class BodyMotion:
             return self._pose.quat
         if self._frame.kind == "link":
             return self._frame.orientations(self._engine)
-        return self._once("quat", lambda: self._frame.orientations(self._engine))
+        quat = self._stored("quat")
+        if quat is None:
+            quat = self._frame.orientations(self._engine)
+            self._computed["quat"] = quat
+        return quat
 
-    def _once(self, name: Hashable, compute: Callable[[], Floats]) -> Floats:
-        """The stored value, or a new one if the state has changed."""
-        value = self._present_values().get(name)
-        if value is None:
-            value = compute()
-            self._computed[name] = value
-        return value
-
-    def _present_values(self) -> dict[Hashable, Floats]:
-        """What is stored of the present state, by name."""
+    def _stored(self, name: Hashable) -> Floats | None:
+        """The value of the present state that is stored by a name, or None."""
         version = self._engine.version
-        if self._version != version:
-            self._computed.clear()
-            self._version = version
-        return self._computed
+        if self._version == version:
+            return self._computed.get(name)
+        self._computed.clear()
+        self._version = version
+        return None
 
     def axes(self) -> Floats:
         """(N, 3, 3) rotation matrices; the columns are the frame's axes in the world."""
-        if self._frame.kind == "link":
-            return self._once("axes", lambda: quat_to_matrix(self.orientation()))
-        return self._frame.axes(self._engine)
+        if self._frame.kind != "link":
+            return self._frame.axes(self._engine)
+        axes = self._stored("axes")
+        if axes is None:
+            axes = quat_to_matrix(self.orientation())
+            self._computed["axes"] = axes
+        return axes
 
     def gravity(self) -> Floats:
         """(N, 3) unit vector of gravity in the frame's axes; zeros where there is no gravity."""
-        return self._once("gravity", self._gravity)
-
-    def _gravity(self) -> Floats:
-        return rotate_back(self.axes(), gravity_direction(self._engine))
+        gravity = self._stored("gravity")
+        if gravity is None:
+            gravity = rotate_back(self.axes(), gravity_direction(self._engine))
+            self._computed["gravity"] = gravity
+        return gravity
 
     def linear_velocity(self, frame: Frame = "world") -> Floats:
         """(N, 3) m/s of the origin.
@@ -130,7 +132,12 @@ class BodyMotion:
             frame: The axes: of the ``world``, of the frame itself (``body``), or of its heading
                 (``yaw``): world axes rotated about z towards the frame's x axis.
         """
-        return self._once(f"linear {frame}", lambda: self._linear(frame))
+        key = ("linear", frame)
+        velocity = self._stored(key)
+        if velocity is None:
+            velocity = self._linear(frame)
+            self._computed[key] = velocity
+        return velocity
 
     def _linear(self, frame: Frame) -> Floats:
         if frame != "world":
@@ -141,7 +148,12 @@ class BodyMotion:
 
     def angular_velocity(self, frame: Frame = "world") -> Floats:
         """(N, 3) rad/s; see `linear_velocity`."""
-        return self._once(f"angular {frame}", lambda: self._angular(frame))
+        key = ("angular", frame)
+        velocity = self._stored(key)
+        if velocity is None:
+            velocity = self._angular(frame)
+            self._computed[key] = velocity
+        return velocity
 
     def _angular(self, frame: Frame) -> Floats:
         if self._qvel >= 0 and frame != "yaw":  # qvel is in body axes

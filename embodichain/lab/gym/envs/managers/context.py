@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
 
 if TYPE_CHECKING:
+    import numpy as np
     import torch
     from numpy.typing import NDArray
 
@@ -235,6 +236,10 @@ class TermContext(ObservedEnv, Protocol):
 
     def read_last_action(self) -> Floats:
         """(N, A) action as last given to `step`; do not write to it."""
+        ...
+
+    def read_elapsed_steps(self) -> NDArray[np.int32]:
+        """`elapsed_steps` as an array (N,); do not write to it."""
         ...
 
     @property

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import logging
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar, cast
 
 import numpy as np
 
@@ -141,7 +142,7 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
         state = instance
     else:
         call = _shaped_call(
-            _reader(called, values, instance),
+            _reader(env, called, values, instance),
             shapes,
             name=called.name,
             lead=_lead_of(called, kind),
@@ -182,13 +183,22 @@ def _axes_of(called: TermSpec, values: Mapping[str, Any]) -> str:
     return str(values.get("axes", default))
 
 
-def _reader(called: TermSpec, values: dict[str, Any], instance: Any) -> Callable[..., Any]:
-    """Return the function that reads a quantity: of the environment, and of what it takes."""
+def _reader(
+    env: TermContext, called: TermSpec, values: dict[str, Any], instance: Any
+) -> Callable[..., Any]:
+    """Return the function that reads a quantity, of which of obs, action and info it takes."""
     if instance is None:
-        return partial(called.func, **called.arguments(values))
+        arguments = called.arguments(values)
+        if called.lead != ():
+            return partial(called.func, env, **arguments)
+        # Arguments by position: a `partial` with keywords makes a dict at every call.
+        signature = inspect.signature(called.func, follow_wrapped=False)
+        bound = signature.bind(env, **arguments)
+        bound.apply_defaults()
+        return partial(called.func, *bound.args, **bound.kwargs)
     if called.lead is None:
-        return instance
-    return lambda env: instance()  # it received the environment when it was made
+        return partial(instance, env)
+    return cast("Callable[..., Any]", instance)  # it received the environment when it was made
 
 
 def _state_of(parts: list[Any]) -> Any:
@@ -253,7 +263,7 @@ def _shaped_call(
     For other kinds than an observation, a value of one column is that column, with its sign.
 
     Args:
-        read: The quantity: takes the environment and the arguments in `lead`.
+        read: The quantity: takes the arguments in `lead`.
         shapes: Applied in order.
         name: The quantity's name, for messages.
         lead: Which of ``obs``, ``action`` and ``info`` it takes.
@@ -268,7 +278,7 @@ def _shaped_call(
 
     def call(env: TermContext, *passed: Any) -> NDArray[Any]:
         try:
-            value: Any = read(env, *(passed[i] for i in positions)) if positions else read(env)
+            value: Any = read(*[passed[i] for i in positions]) if positions else read()
         except ConfigError as error:
             raise _moved(error, params_path) from error
         if type(value) is not np.ndarray and is_host(value):
@@ -280,13 +290,13 @@ def _shaped_call(
                 value = shape(value)
         except ConfigError as error:
             raise _moved(error, shape_path) from error
-        if is_observation and value.ndim == 1:
-            value = value[:, None]
-        elif value.ndim > 1 and not is_observation:
-            if value.shape[1:] != (1,):
-                raise ConfigError([_several_columns(name, value, kind, shape_path, columns)])
-            value = value[:, 0]
-        return value
+        if value.ndim == 1:
+            return value[:, None] if is_observation else value
+        if is_observation:
+            return value
+        if value.shape[1:] != (1,):
+            raise ConfigError([_several_columns(name, value, kind, shape_path, columns)])
+        return value[:, 0]
 
     return call
 

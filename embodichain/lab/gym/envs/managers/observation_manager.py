@@ -211,7 +211,7 @@ class ObservationEntry:
 
 def _in_type_of(value: NDArray[Any], changed: NDArray[Any]) -> NDArray[Any]:
     """A changed value; that of integers, such as an image's, is rounded to their type."""
-    if not np.issubdtype(value.dtype, np.integer):
+    if value.dtype.kind not in "iu":
         return changed
     info = np.iinfo(value.dtype)
     return np.clip(np.rint(changed), info.min, info.max).astype(value.dtype)

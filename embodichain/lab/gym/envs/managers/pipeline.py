@@ -75,6 +75,7 @@ class Noise:
         self._streams = streams
         self._shape = (streams.num_envs, *shape)
         self._width = int(np.prod(shape, dtype=np.int64))
+        self._is_vector = len(shape) == 1
 
         def sized(*names: str) -> Floats:
             return _sized(cfg, names, shape, path, columns)
@@ -109,7 +110,8 @@ class Noise:
 
     def _in_shape(self, rows: NDArray[np.float64]) -> F32:
         """(n, width) numbers as (n, ...) float32."""
-        return rows.astype(np.float32).reshape(-1, *self._shape[1:])
+        numbers: F32 = rows.astype(np.float32)
+        return numbers if self._is_vector else numbers.reshape(-1, *self._shape[1:])
 
     def apply(self, value: NDArray[Any], rows: EnvIndex | None) -> NDArray[Any]:
         """Return a value with noise.

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import GetCoreSchemaHandler
@@ -19,7 +19,7 @@ from pydantic import GetCoreSchemaHandler
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.lab.sim.reads.body_motion import BodyMotion, Frame
 from embodichain.lab.sim.reads.frames import BodyFrames, frame_named, frames_named, link_frame
-from embodichain.utils.arrays import is_host
+from embodichain.utils.arrays import columns_of, is_host
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import from_dict
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
@@ -99,12 +99,12 @@ class ResolvedEntity:
 
         Its class is not checked: this is read in every step.
         """
-        return cast("Articulation", self.asset)
+        return self.asset  # type: ignore[return-value]
 
     @property
     def rigid_object(self) -> RigidObject:
         """`asset` where it is known to be a rigid object."""
-        return cast("RigidObject", self.asset)
+        return self.asset  # type: ignore[return-value]
 
     @property
     def joints(self) -> list[int] | None:
@@ -228,6 +228,10 @@ class ResolvedEntity:
     def _dofs(self) -> NDArray[np.int64]:
         return np.asarray(self.asset.index.dof_adr, np.int64)[self._columns]
 
+    @cached_property
+    def _dof_columns(self) -> slice | NDArray[np.int64]:
+        return columns_of(self._dofs)
+
     def _pick(self, values: Floats) -> Floats:
         return values if self.all_joints else values[:, self._columns]
 
@@ -270,7 +274,7 @@ class ResolvedEntity:
 
     def effort(self) -> Floats:
         """(N, K) efforts of the last physics step, N m or N: drive, damping and applied efforts."""
-        applied = self.asset.engine.state("qfrc_applied")[:, self._dofs]
+        applied = self.asset.engine.state("qfrc_applied")[:, self._dof_columns]
         return self._pick(self.articulation.read_qf()) + applied
 
     @cached_property

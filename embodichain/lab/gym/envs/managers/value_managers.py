@@ -352,8 +352,12 @@ class RewardManager(Manager[RewardCfg]):
         # Arrays (T, N), replaced and never written to: returned ones must not change.
         self._sums: F32 = env.arrays.full((len(self.terms), self.num_envs), 0.0, np.float32)
         self._sums_before = self._sums
-        # Of this shape: row 0 is the reward of hooks, the others are value x weight of the terms.
-        self._summands: F32 = env.arrays.full((len(self.terms) + 1, self.num_envs), 0.0, np.float32)
+        # Copied in every step, which is quicker than `np.zeros_like`. Row 0 of the summands is the
+        # reward of hooks, the others are value x weight of the terms.
+        self._no_values: F32 = env.arrays.full((len(self.terms), self.num_envs), 0.0, np.float32)
+        self._no_summands: F32 = env.arrays.full(
+            (len(self.terms) + 1, self.num_envs), 0.0, np.float32
+        )
         self._names = tuple(self.terms)
         self.values = TermRows(())
 
@@ -368,7 +372,6 @@ class RewardManager(Manager[RewardCfg]):
                 self._calls.append((row, name, term.call))
             if term.cfg.mode == "replace":
                 self._first_summand = row + 1
-        self._all_count = len(self._calls) == len(self.terms)
         weights = [self.weights[name] for name in self.terms]
         self._factors: F32 = np.array(weights, np.float32)[:, None]
 
@@ -423,8 +426,7 @@ class RewardManager(Manager[RewardCfg]):
                 return rewards
             return self._arrays.full(self.num_envs, 0.0, np.float32)
         env = self.env
-        # A term of weight 0 is not evaluated.
-        values = np.empty_like(self._sums) if self._all_count else np.zeros_like(self._sums)
+        values = self._no_values.copy()  # a term of weight 0 is not evaluated
         for row, name, call in self._calls:
             try:
                 value = call(env, obs, action, info)
@@ -434,8 +436,9 @@ class RewardManager(Manager[RewardCfg]):
             except FAILURES as error:
                 self.fail(name, error)
         self._checked = True
-        summands = np.empty_like(self._summands)
-        summands[0] = 0.0 if rewards is None else rewards
+        summands = self._no_summands.copy()
+        if rewards is not None:
+            summands[0] = rewards
         weighted = np.multiply(values, self._factors, out=summands[1:])
         self._sums_before = self._sums
         self._sums = self._sums + weighted

@@ -258,7 +258,7 @@ class TerrainLevels(Term):
             goes_up = is_far
             goes_down = walked < self._demote_share * expected
         # An environment that is reset before its first step has not walked.
-        has_begun = env.arrays.of(env.elapsed_steps)[ids] > 0
+        has_begun = env.read_elapsed_steps()[ids] > 0
         change = np.where(goes_up, 1, np.where(goes_down, -1, 0)) * has_begun
         place.level[ids] = np.maximum(place.level[ids] + change, 0)
         return self._mean_levels()

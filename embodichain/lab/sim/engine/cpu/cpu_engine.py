@@ -411,7 +411,7 @@ class CpuEngine(HostEngine):
             flags = self._fields.internal("opt.disableflags")
             self._call(self._kinematics.forward, self._batch, flags, ids)
         else:
-            self._call(self._batch.forward, ids, stage=_STAGE_VEL)
+            self._call(self._batch.forward, ids, _STAGE_VEL)
         self._mark_all_clean()
 
     def acceleration(self, name: str) -> F64:
@@ -459,7 +459,7 @@ class CpuEngine(HostEngine):
         if self._history:
             failed = self._step_keeping_sensors(nstep, env_ids)
         else:
-            failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
+            failed = self._call(self._batch.step, env_ids, nstep, _STAGE_NONE)
         self._mark(env_ids)
         self._copy_accelerations(env_ids)
         if listeners:
@@ -469,13 +469,14 @@ class CpuEngine(HostEngine):
 
     def _step_keeping_sensors(self, nstep: int, env_ids: EnvIndex | None) -> EnvIds | None:
         """Step as `Batch.step` does, to the bit, and keep the sensors of each physics step."""
-        ids = np.arange(self.num_envs) if env_ids is None else env_ids
-        steps = np.zeros((len(ids), nstep, self.model.nsensordata))
-        before = self._views["time"][ids, 0]
+        num_envs = self.num_envs if env_ids is None else len(env_ids)
+        steps = np.zeros((num_envs, nstep, self.model.nsensordata))
+        before = self._views["time"][:, 0].copy()
         warned = self._batch.warning.tobytes()
         failed = self._roll_out(steps, env_ids)
         if self._batch.warning.tobytes() != warned:
-            self._step_on(steps, ids, before, failed)
+            ids = np.arange(num_envs) if env_ids is None else env_ids
+            self._step_on(steps, ids, before[ids], failed)
         self._history.append(steps, env_ids)
         return failed
 

@@ -21,7 +21,7 @@ from embodichain.lab.sim.solvers.least_squares import (
 )
 from embodichain.lab.sim.solvers.solution_sets import distinct, ranked
 from embodichain.lab.sim.solvers.ur_arm import UrArm
-from embodichain.utils.arrays import contiguous
+from embodichain.utils.arrays import contiguous, may_be_set
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     matrix_to_quat,
@@ -85,14 +85,14 @@ class Approach(NamedTuple):
         change: (n, k) of the moving joints, rad or m.
         distance: (n,) metres that remain after it, to first order.
         angle: (n,) rad that remain; 0 where the orientation is free.
-        stationary: (n,) whether no motion of the joints within their limits reduces the error by a
-            notable part, as at the border of the workspace.
+        is_out_of_reach: (n,) whether more than the tolerances remains, and no motion of the joints
+            within their limits reduces it by a notable part, as at the border of the workspace.
     """
 
     change: Floats
     distance: Floats
     angle: Floats
-    stationary: NDArray[np.bool_]
+    is_out_of_reach: NDArray[np.bool_]
 
 
 class ArmSolver:
@@ -284,6 +284,9 @@ class ArmSolver:
         posture: Floats | None = None,
         gain: float = 0.0,
         env_ids: EnvIndex | None = None,
+        *,
+        position_tolerance: float = np.inf,
+        rotation_tolerance: float = np.inf,
     ) -> Approach:
         """One step of damped least squares: differential inverse kinematics.
 
@@ -297,6 +300,9 @@ class ArmSolver:
             posture: (k,) positions that the joints approach in the null space, or None.
             gain: The part of the way to them.
             env_ids: (n,) environments.
+            position_tolerance: Metres that may remain; infinite if nobody asks for what is out of
+                reach.
+            rotation_tolerance: Rad that may remain, likewise.
         """
         jacobian = self.chain.jacobian(frames)[: len(error), self._columns]
         moving_qpos = contiguous(qpos[:, self.moving].T)
@@ -308,13 +314,17 @@ class ArmSolver:
         step = joint_step(error, jacobian, lowest, highest, posture=lean)
         excess = np.abs(step) / largest[:, None]
         step = step / np.maximum(excess.max(axis=0), 1.0)
-        gradient = clamped(transposed(jacobian, error), lowest, highest)
-        stationary = np.abs(gradient).max(axis=0) < _FLAT * np.sqrt(squared(error))
         remaining = error - times(jacobian, step)
         distance = np.sqrt(squared(remaining[:3]))
         has_angle = len(remaining) > 3
         angle = np.sqrt(squared(remaining[3:])) if has_angle else np.zeros_like(distance)
-        return Approach(contiguous(step.T), distance, angle, stationary)
+        is_far = (distance > position_tolerance) | (angle > rotation_tolerance)
+        is_out_of_reach = is_far
+        if may_be_set(is_far):  # seldom
+            gradient = clamped(transposed(jacobian, error), lowest, highest)
+            is_flat = np.abs(gradient).max(axis=0) < _FLAT * np.sqrt(squared(error))
+            is_out_of_reach = is_far & is_flat
+        return Approach(contiguous(step.T), distance, angle, is_out_of_reach)
 
     def limits(self, env_ids: EnvIndex | None = None) -> tuple[Floats, Floats]:
         """Lowest and highest positions (k, n) of the moving joints."""

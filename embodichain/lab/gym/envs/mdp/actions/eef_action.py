@@ -111,15 +111,16 @@ class EefTerm(JointTerm):
             frames,
             error,
             largest=self._largest_change,
+            position_tolerance=_POSITION_TOLERANCE,
+            rotation_tolerance=_ROTATION_TOLERANCE,
             posture=self._default if self._posture_gain else None,
             gain=self._posture_gain,
         )
         self._write_targets(commanded[:, self._ids] + step.change)
-        is_far = (step.distance > _POSITION_TOLERANCE) | (step.angle > _ROTATION_TOLERANCE)
         self._measures = {
             "position_error": step.distance,
             "rotation_error": step.angle,
-            "unreachable": (is_far & step.stationary).astype(np.float64),
+            "unreachable": step.is_out_of_reach.astype(np.float64),
         }
         if len(error) == 3:
             del self._measures["rotation_error"]

@@ -122,12 +122,20 @@ Axes = Annotated[
 ]
 
 
+_COLUMNS = {
+    "xyz": slice(0, 3),
+    "xy": slice(0, 2),
+    "xz": slice(0, 3, 2),
+    "yz": slice(1, 3),
+    "x": slice(0, 1),
+    "y": slice(1, 2),
+    "z": slice(2, 3),
+}
+
+
 def _pick_axes(vectors: Floats, axes: Axes) -> Floats:
     """Columns of (N, 3) vectors, picked by their letters: a view."""
-    first = "xyz".index(axes[0])
-    last = "xyz".index(axes[-1])
-    step = 2 if axes == "xz" else 1
-    return vectors[:, first : last + 1 : step]
+    return vectors[:, _COLUMNS[axes]]
 
 
 @quantity()

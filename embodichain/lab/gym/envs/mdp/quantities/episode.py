@@ -128,7 +128,7 @@ def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
         ``{func: time_out, params: {time_limit_s: 5.0}}``
     """
     steps = max(1, round(time_limit_s / env.step_dt))
-    return env.arrays.of(env.elapsed_steps) >= steps
+    return env.read_elapsed_steps() >= steps
 
 
 class _Clock(Term):

@@ -89,8 +89,7 @@ class FeetGait:
 
     def __call__(self) -> Floats:
         """(N,)."""
-        env = self._env
-        cycles = env.arrays.of(env.elapsed_steps) * self._cycles_per_step
+        cycles = self._env.read_elapsed_steps() * self._cycles_per_step
         swing = np.sin(2.0 * np.pi * (cycles[:, None] + self._phases))
         if self._command is not None:
             is_walking = norm(self._command()) > self._min_command
@@ -98,7 +97,7 @@ class FeetGait:
         error = (self._foot_heights() - self._rest_height - self._height * swing) / self._width
         in_swing = np.exp(-error * error)
         is_touched = squares(self._sensor.read_force()) > self._least_squared_force
-        in_stance = np.where(is_touched, 1.0, 0.0)
+        in_stance = is_touched.astype(np.float64)
         return mean(np.where(swing > _SWING_EDGE, in_swing, in_stance))
 
     def _foot_heights(self) -> Floats:

@@ -68,10 +68,16 @@ class _Joined(Term):
 
     def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
         """(N,)."""
-        values = [env.arrays.of(call(env, obs, action, info)) for call in self._calls]
-        joined: NDArray[Any] = values[0].astype(self._dtype)
+        dtype = self._dtype
+        values = []
+        for call in self._calls:
+            value = call(env, obs, action, info)
+            if type(value) is not np.ndarray:
+                value = env.arrays.of(value)
+            values.append(value.astype(dtype))
+        joined: NDArray[Any] = values[0]
         for value in values[1:]:
-            joined = self._join_two(joined, value.astype(self._dtype))
+            joined = self._join_two(joined, value)
         return joined
 
     def reset(self, env_ids: EnvIndex | None) -> None:
