@@ -33,7 +33,7 @@ _DENSITY = 2000.0
 """kg/m^3: 2 kg for a cube of 10 cm."""
 _WAY = 0.2
 """Distance from the cube to the disc, m."""
-_STEP = 0.015
+_STEP = 0.02
 """The largest motion of the tool in a control step, m."""
 _ABOVE_FLOOR = 0.01
 """Height in metres of the hand's lowest point."""
@@ -110,7 +110,7 @@ def _words(
         "tool_keys": tool_keys(robot),
         "rotation": "keep" if keeps else "free",
         "step": number(rounded(_STEP * size)),
-        "step_z": number(0.0005),
+        "step_z": number(rounded(0.25 * _STEP * size)),
         "touching": number(rounded(0.15 * size)),
         "nearing": number(rounded(0.15 * size)),
         "bounds": f"[{list_of(bounds[0])}, {list_of(bounds[1])}]",

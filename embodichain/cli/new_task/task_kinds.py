@@ -116,8 +116,9 @@ def write_kind(kind: Kind, robot: EmbodiedRobot) -> WrittenTask:
         if success >= _GOOD_ENOUGH:
             break
     if best is None:
-        message = f"{kind.name} needs places on the floor that the tool reaches pointing down"
-        raise ConfigError(f"{message}: the tool of {robot.embodiment.name} reaches too few")
+        how = " pointing straight down" if kind.name == "pick" else ""
+        message = f"{kind.name} needs places near the floor that the tool reaches{how}"
+        raise ConfigError(f"{message}: that of {robot.embodiment.name} does not")
     return best
 
 

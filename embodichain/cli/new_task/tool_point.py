@@ -156,30 +156,29 @@ def gap_between_fingers(
         model: The robot.
         data: A state in which the gripper is open.
         point: (3,) a place between the fingers, m.
-        line: (3,) the direction in which they close.
-        fingers: Their bodies.
+        line: (3,) the direction in which the second finger opens.
+        fingers: Their bodies, two.
 
     Returns:
         The distance; 0 if the line does not meet both.
     """
     import mujoco
 
-    bodies = {body for name in fingers for body in subtree_of(model, model.body(name).id)}
+    left, right = (set(subtree_of(model, model.body(name).id)) for name in fingers)
+    left -= right  # a hand carries the jaw that closes on it
     gap = 0.0
     geom = np.zeros(1, np.int32)
-    for direction in (line, -line):
+    for direction, bodies in ((line, right), (-line, left)):
         start = point.copy()
-        travelled = 0.0
         while True:
             distance = mujoco.mj_ray(model, data, start, direction, None, 1, -1, geom)
             if distance < 0:
                 return 0.0
-            travelled += distance
+            start = start + direction * distance
             if int(model.geom_bodyid[geom[0]]) in bodies:
                 break
-            start = start + direction * (distance + 1e-4)
-            travelled += 1e-4
-        gap += travelled
+            start = start + direction * 1e-4
+        gap += float(np.linalg.norm(start - point))
     return gap
 
 
