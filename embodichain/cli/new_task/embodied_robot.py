@@ -108,7 +108,9 @@ class EmbodiedRobot:
         """
         alias = self.parsed.aliases.get("tool")
         if alias is None or len(alias.frames) != 1 or alias.kind == "geom":
-            raise ConfigError(f"embodiment {self.embodiment.name}: names.tool names no link or site")
+            raise ConfigError(
+                f"embodiment {self.embodiment.name}: names.tool names no link or site"
+            )
         return ToolFrame(alias.kind, alias.frames[0])
 
     def without_servo(self, joints: list[str]) -> list[str]:

@@ -117,9 +117,7 @@ def _ends_of_ranges(
         mujoco.mj_kinematics(robot.model, data)
         width = 0.0
         if len(fingers) == 2:
-            width = float(
-                np.linalg.norm(data.body(fingers[0]).xipos - data.body(fingers[1]).xipos)
-            )
+            width = float(np.linalg.norm(data.body(fingers[0]).xipos - data.body(fingers[1]).xipos))
         ends.append((width, pose))
     (low_width, low), (high_width, high) = ends
     return (low, high) if low_width > high_width else (high, low)

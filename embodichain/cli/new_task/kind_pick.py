@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.cli.new_task.grippers import finger_gap, gripper_ends
-from embodichain.cli.new_task.kind_reach import joint_scales
 from embodichain.cli.new_task.guesses import Guess
+from embodichain.cli.new_task.kind_reach import joint_scales
 from embodichain.cli.new_task.task_draft import (
     TaskDraft,
     camera_words,

@@ -41,9 +41,7 @@ def draft_reach(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
     root = robot.data.body(robot.parsed.root_link_name).xpos
     largest = float(np.clip(_RADIUS_OF_REACH * np.linalg.norm(pos - root), 0.04, _LARGEST_RADIUS))
     axes = np.ones(3)
-    reach = ToolReach(
-        robot.model, robot.data, tool, joints, scale=np.array(list(scales.values()))
-    )
+    reach = ToolReach(robot.model, robot.data, tool, joints, scale=np.array(list(scales.values())))
     radius = reach.radius(robot.qpos_of(joints), largest) or largest
     if reach.axes.any():
         axes = reach.axes.astype(float)
@@ -82,7 +80,7 @@ actions:                           # joint targets around the initial pose, rad 
 
 
 def joint_scales(robot: EmbodiedRobot, joints: list[str], hinge: float) -> dict[str, float]:
-    """Joint -> displacement for an action of 1: rad of a hinge; m of a slide, a quarter of its way."""
+    """Joint -> displacement for an action of 1, rad; of slides a quarter of their way, m."""
     import mujoco
 
     scales: dict[str, float] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 __all__ = ["kind_test_words"]
 
 _POLICIES = "from embodichain.lab.gym.policies import resolve_policy\n"
-_EXPERT = '''
+_EXPERT = """
 
 def test_the_expert_succeeds(make: Make) -> None:
     env = make(16)
@@ -16,8 +16,8 @@ def test_the_expert_succeeds(make: Make) -> None:
         obs, _, terminated, truncated, info = env.step(expert(obs, env))
         successes += int((info["success"] & (terminated | truncated)).sum())
     assert successes >= 12
-'''
-_STANDS = '''
+"""
+_STANDS = """
 
 def test_it_stands_where_nothing_moves_it(make: Make) -> None:
     env = make(4)
@@ -26,8 +26,8 @@ def test_it_stands_where_nothing_moves_it(make: Make) -> None:
     for _ in range(50):
         obs, _, terminated, _, _ = env.step(hold(obs, env))
         assert not terminated.any()
-'''
-_AT_GOAL = '''
+"""
+_AT_GOAL = """
 
 def test_at_the_goal_is_the_best_place(make: Make) -> None:
     env = make(2)
@@ -38,7 +38,7 @@ def test_at_the_goal_is_the_best_place(make: Make) -> None:
     reward, info = env.step(torch.from_numpy(env.action_manager.hold()).float())[1::3]
     assert reward[0] > reward[1]
     assert info["success"].tolist() == [True, False]
-'''
+"""
 
 
 def kind_test_words(kind: str, tool_kind: str) -> dict[str, str]:

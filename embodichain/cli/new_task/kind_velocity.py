@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.cli.new_task.legs import Leg, foot_position, legs_with_feet, trot_phases
 from embodichain.cli.new_task.guesses import Guess
+from embodichain.cli.new_task.legs import Leg, foot_position, legs_with_feet, trot_phases
 from embodichain.cli.new_task.new_home import lowest_point
 from embodichain.cli.new_task.task_draft import (
     TaskDraft,

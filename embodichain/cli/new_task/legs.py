@@ -91,9 +91,7 @@ def find_legs(model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[str]) 
     return [_with_length(model, data, leg) for leg in legs]
 
 
-def legs_with_feet(
-    model: mujoco.MjModel, data: mujoco.MjData, feet: Sequence[str]
-) -> list[Leg]:
+def legs_with_feet(model: mujoco.MjModel, data: mujoco.MjData, feet: Sequence[str]) -> list[Leg]:
     """The legs whose feet are links or geoms with these names."""
     links = {model.body(i).name for i in range(model.nbody)}
     legs = []
@@ -181,10 +179,8 @@ def _hinges(model: mujoco.MjModel, body: int) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _ends_of_chains(
-    model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[str]
-) -> list[Leg]:
-    """Legs without a name: chains whose ends hang lower than the trunk, within 10 cm of the lowest."""
+def _ends_of_chains(model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[str]) -> list[Leg]:
+    """Legs without a name: chains that end below the trunk, within 10 cm of the lowest end."""
     import mujoco
 
     parents = {int(parent) for parent in model.body_parentid}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from embodichain.cli.new_task.guesses import Guess
 from embodichain.cli.new_task.legs import Leg, leg_gains
-from embodichain.cli.new_task.new_robot import RobotFile, read_robot_file
+from embodichain.cli.new_task.new_robot import JAW_NAME, RobotFile, read_robot_file
 from embodichain.cli.new_task.tool_point import (
     Gripping,
     ToolPoint,
@@ -150,9 +150,7 @@ class _Gripper:
         parsed = robot.parsed
         model = parsed.model
         moving = [
-            name
-            for name in parsed.joint_names
-            if name not in arm and _moves(model, name, fingers)
+            name for name in parsed.joint_names if name not in arm and _moves(model, name, fingers)
         ]
         if not moving:
             return None
@@ -330,11 +328,15 @@ def _joints_above(model: mujoco.MjModel, body: int) -> list[str]:
 def _fingers(robot: RobotFile, arm: Sequence[str]) -> list[str]:
     """The left and the right finger, or none.
 
-    They are links called so, else links beyond the arm that move; the link that carries a single
-    jaw is the other finger.
+    They are links called so, else two links beyond the arm that move; the link that carries a
+    single jaw is the other finger.
     """
     model = robot.parsed.model
-    named = [name for name in robot.parsed.link_names if _FINGER.search(name)]
+    named = [
+        name
+        for name in robot.parsed.link_names
+        if _FINGER.search(name) or any(map(JAW_NAME.search, _joints_of(model, name)))
+    ]
     fingers = _first_movers(model, named, arm)
     if not fingers and arm:
         last = int(model.jnt_bodyid[model.joint(arm[-1]).id])
@@ -344,6 +346,8 @@ def _fingers(robot: RobotFile, arm: Sequence[str]) -> list[str]:
             if last in _carriers(model, int(model.body(name).id))
         ]
         fingers = _first_movers(model, beyond, arm)
+        if len(fingers) < 2:  # what slides or turns alone may be anything
+            return []
     if len(fingers) == 1:  # a jaw that closes on the hand
         parent = int(model.body_parentid[model.body(fingers[0]).id])
         fingers.insert(0, model.body(parent).name)
@@ -352,6 +356,13 @@ def _fingers(robot: RobotFile, arm: Sequence[str]) -> list[str]:
     left = next((name for name in fingers if _LEFT.search(name)), fingers[0])
     right = next(name for name in fingers if name != left)
     return [left, right]
+
+
+def _joints_of(model: mujoco.MjModel, link: str) -> list[str]:
+    """The joints between a link and its parent."""
+    body = int(model.body(link).id)
+    first = int(model.body_jntadr[body])
+    return [model.joint(first + i).name for i in range(int(model.body_jntnum[body]))]
 
 
 def _first_movers(model: mujoco.MjModel, links: Sequence[str], arm: Sequence[str]) -> list[str]:

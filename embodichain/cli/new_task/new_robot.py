@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 
-__all__ = ["UR10", "RobotFile", "describe_robot", "read_robot_file"]
+__all__ = ["JAW_NAME", "UR10", "RobotFile", "describe_robot", "read_robot_file"]
 
 _RESERVED_UIDS = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
@@ -61,7 +61,7 @@ _TOOL_NAME = re.compile(
     rf"(?:^|[/_])({'|'.join(_TOOL_WORDS)})(?:per)?0?(?:_site|_frame|_point|_center|_link)*$",
     re.IGNORECASE,
 )
-_JAW_NAME = re.compile(r"grip|finger|jaw|claw|thumb", re.IGNORECASE)
+JAW_NAME = re.compile(r"grip|finger|jaw|claw|thumb", re.IGNORECASE)
 """How joints are called that move a single jaw of a gripper."""
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
 
@@ -518,7 +518,7 @@ def _hand_below(model: mujoco.MjModel, link: str) -> str:
     """
     body = int(model.body(link).id)
     joints = _chain_rank(model, body).joints
-    if model.body_jntnum[body] and _JAW_NAME.search(model.joint(model.body_jntadr[body]).name):
+    if model.body_jntnum[body] and JAW_NAME.search(model.joint(model.body_jntadr[body]).name):
         return str(model.body(int(model.body_parentid[body])).name)
     while body:
         parent = int(model.body_parentid[body])

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from string import Template
 from typing import TYPE_CHECKING
 
+from embodichain.cli.new_task.guesses import Guess
 from embodichain.cli.new_task.kind_pick import draft_pick
 from embodichain.cli.new_task.kind_push import draft_push
 from embodichain.cli.new_task.kind_reach import draft_reach
 from embodichain.cli.new_task.kind_velocity import draft_velocity
-from embodichain.cli.new_task.guesses import Guess
 from embodichain.cli.new_task.new_time_step import TimeStep, time_step
 from embodichain.cli.new_task.task_trials import share_of_successes
 from embodichain.utils.errors import ConfigError
@@ -100,10 +101,9 @@ def write_kind(kind: Kind, robot: EmbodiedRobot) -> WrittenTask:
         if number == _MOST_TRIALS:
             break
         if step is None:
-            first = draft
             step = time_step(
                 robot.file_dt,
-                lambda trial: _text(kind, robot, first, trial),
+                partial(_text, kind, robot, draft),
                 embodiment=robot.embodiment,
                 period=kind.control_period,
             )

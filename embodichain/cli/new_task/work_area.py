@@ -98,7 +98,9 @@ def find_work_areas(
         for size in _SIZES:
             areas = []
             for x in np.round(np.linspace(0.15, 1.0, _DISTANCES) * farthest, 2):
-                area = _area_at(arm, layout(size), size=size, x=x, ranges=ranges, is_down=points_down)
+                area = _area_at(
+                    arm, layout(size), size=size, x=x, ranges=ranges, is_down=points_down
+                )
                 if area is not None:
                     areas.append(area)
             if areas:
@@ -128,7 +130,7 @@ def _area_at(
             )
             for place in layout.places
         ):
-            arm.set(qpos)
+            arm.place(qpos)
             return WorkArea(
                 x=x,
                 size=size,
@@ -172,11 +174,11 @@ class _Arm:
         draws = RandomStreams(0, 1).uniform("reach", (200, len(self.joints)))[0]
         farthest = 0.0
         for share in draws:
-            pos, _ = self.set(self.low + (self.high - self.low) * share)
+            pos, _ = self.place(self.low + (self.high - self.low) * share)
             farthest = max(farthest, float(np.hypot(*(pos + self._shift)[:2])))
         return farthest
 
-    def set(self, qpos: F64) -> tuple[F64, F64]:
+    def place(self, qpos: F64) -> tuple[F64, F64]:
         """Move the joints; returns the tool's position (3,), m, and its z axis (3,)."""
         import mujoco
 
@@ -209,7 +211,7 @@ class _Arm:
         qpos = start.copy()
         body = self._body()
         for _ in range(_ITERATIONS):
-            pos, axis = self.set(qpos)
+            pos, axis = self.place(qpos)
             # With its axis down, the tool may turn about it: two angles count.
             turn = np.cross(axis, [0.0, 0.0, -1.0])[:2] if is_down else np.zeros(0)
             if is_down and axis[2] > 0:
@@ -239,7 +241,7 @@ class _Arm:
         """Pairs of shapes that touch in a pose."""
         import mujoco
 
-        self.set(qpos)
+        self.place(qpos)
         mujoco.mj_collision(self._model, self._data)
         contacts = self._data.contact
         return set(zip(contacts.geom1.tolist(), contacts.geom2.tolist(), strict=True))
@@ -248,6 +250,6 @@ class _Arm:
         """Whether a moving part is below the floor in a pose."""
         from embodichain.cli.new_task.new_home import lowest_point
 
-        self.set(qpos)
+        self.place(qpos)
         lowest = lowest_point(self._model, self._data) + float(self._shift[2])
         return lowest < -1e-3

@@ -291,7 +291,9 @@ def _embodiment_of(options: NewOptions, names: _Names, kind: str) -> _Embodiment
             return _EmbodimentChoice(NewEmbodiment(name, path.read_text(encoding="utf-8")))
         if name not in existing:
             hint = did_you_mean(name, existing)
-            raise ConfigError(f"there is no embodiment '{name}': embodichain list embodiments{hint}")
+            raise ConfigError(
+                f"there is no embodiment '{name}': embodichain list embodiments{hint}"
+            )
         return _EmbodimentChoice(NewEmbodiment(name))
     stem = re.sub(r"\W+", "_", Path(options.robot).stem).strip("_").lower() or "robot"
     if not stem.isidentifier() or not stem.isascii() or keyword.iskeyword(stem):
