@@ -4,38 +4,29 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from embodichain.cli.new_task.new_robot import FOOT_NAME, RobotFile, read_robot_file
+from embodichain.cli.new_task.guesses import Guess
+from embodichain.cli.new_task.legs import Leg, leg_gains
+from embodichain.cli.new_task.new_robot import JAW_NAME, RobotFile, read_robot_file
+from embodichain.cli.new_task.tool_point import (
+    Gripping,
+    ToolPoint,
+    body_of,
+    find_tool_point,
+)
 
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Guess", "embodiment_text", "guess_embodiment"]
+__all__ = ["embodiment_text", "guess_embodiment"]
 
-_FINGER = re.compile(r"finger|jaw|thumb|knuckle", re.IGNORECASE)
+_FINGER = re.compile(r"finger|jaw|thumb|knuckle|claw", re.IGNORECASE)
 _LEFT = re.compile(r"left|(^|[_/])l([_/]|$)", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class Guess:
-    """A line of an embodiment that was guessed, or that could not be.
-
-    Attributes:
-        key: Its key in `robot`.
-        value: Its value as YAML; empty if there is nothing to guess it from.
-        why: What it was guessed from, or what to write.
-    """
-
-    key: str
-    value: str
-    why: str
-
-    def __str__(self) -> str:
-        """Return it as one line for people."""
-        return f"{self.key}: {self.value or '?'} ({self.why})"
+_ARM_GAINS = (500.0, 50.0)
+"""Stiffness and damping of an arm's drives, N m/rad and N m s/rad."""
 
 
 def guess_embodiment(fpath: str) -> list[Guess]:
@@ -48,22 +39,19 @@ def guess_embodiment(fpath: str) -> list[Guess]:
         ConfigError: If the file does not exist or cannot be read, or if no joint can move.
     """
     robot = read_robot_file(fpath)
-    parsed = robot.parsed
     guesses = [Guess("fpath", fpath, "as given")]
     if robot.is_floating:
         guesses.append(Guess("fix_base", "false", "the file has a free joint, or feet"))
         height = f"[0, 0, {robot.height:g}]"
         guesses.append(Guess("init_pos", height, "its lowest point is on the ground"))
+    elif robot.height:
+        height = f"[0, 0, {robot.height:g}]"
+        guesses.append(Guess("init_pos", height, "lower, a part would be in the ground"))
     home = ", ".join(f"{value:g}" for value in robot.home)
-    guesses.append(Guess("init_qpos", f"[{home}]", "the file's keyframe, or bent for its reach"))
-    guesses += _arm_guesses(robot) if not robot.is_floating else _leg_guesses(robot)
-    guesses.append(Guess("names.base", parsed.root_link_name, "the root link"))
-    if parsed.own_actuators:
-        guesses.append(Guess("drive_pros", "{stiffness: file}", "the file has actuators"))
-    else:
-        effort = ", max_effort: file" if (parsed.qf_limits < 1e9).all() else ""
-        drives = f"{{stiffness: 500, damping: 50{effort}}}"
-        guesses.append(Guess("drive_pros", drives, "a URDF has no gains: tune them"))
+    guesses.append(Guess("init_qpos", f"[{home}]", robot.why_home))
+    guesses += _leg_guesses(robot) if robot.is_floating else _arm_guesses(robot)
+    guesses.append(Guess("names.base", robot.parsed.root_link_name, "the root link"))
+    guesses.append(_drive_guess(robot))
     return guesses
 
 
@@ -96,66 +84,234 @@ def _arm_guesses(robot: RobotFile) -> Iterator[Guess]:
     parsed = robot.parsed
     model = parsed.model
     yield Guess("gravcomp", "1", "most arms have a controller that bears their weight")
-    tool_body = _body_of(robot)
+    tool_body = body_of(model, robot.tool)
     arm = [name for name in _joints_above(model, tool_body) if name in parsed.joint_names]
     if arm:
         yield Guess("control_parts.arm", _listed(arm), "the joints between root and tool")
-        yield Guess("control_parts.swivel", f"[{arm[0]}]", "its first joint")
-    why = "called as tools are, or the end of the longest chain"
-    yield Guess("names.tool", robot.tool.name, why)
+        yield Guess("control_parts.swivel", _listed(arm[:1]), "its first joint")
     fingers = _fingers(robot, arm)
+    gripper = _Gripper.find(robot, arm, fingers) if len(fingers) == 2 else None
+    gripping = gripper.gripping if gripper else None
+    yield from _tool_guesses(find_tool_point(model, robot.data, robot.tool, gripping), arm)
     if len(fingers) < 2:
-        why = "no two links are called fingers or jaws: name the links that grip"
+        why = "no two links move as fingers do: name the links that grip"
         yield Guess("names.left_finger", "", why)
         yield Guess("names.right_finger", "", why)
         yield Guess("grippers", "", "{gripper: {open: ..., close: ...}} with a part `gripper`")
         return
-    left = next((name for name in fingers if _LEFT.search(name)), fingers[0])
-    right = next(name for name in fingers if name != left)
-    yield Guess("names.left_finger", left, "called a finger or a jaw")
+    left, right = fingers
+    yield Guess("names.left_finger", left, "a link beyond the arm that moves, or that it closes on")
     yield Guess("names.right_finger", right, "the other one")
-    joints = [name for name in parsed.joint_names if name not in arm]
-    moving = [name for name in joints if _moves(model, name, (left, right))]
-    if not moving:
+    if gripper is None:
         yield Guess("control_parts.gripper", "", "no joint moves the fingers: name those that do")
         return
-    yield Guess("control_parts.gripper", _listed(moving), "the joints that move the fingers")
-    index = parsed.joint_names.index(moving[0])
-    low, high = (float(value) for value in parsed.qpos_limits[index])
-    widths = [_width(robot, moving, value, (left, right)) for value in (low, high)]
-    open_value, close_value = (low, high) if widths[0] > widths[1] else (high, low)
-    value = f"{{open: {open_value:g}, close: {close_value:g}}}"
-    why = f"the limits of {moving[0]}: its fingers are farther apart where it opens"
-    if parsed.own_actuators and not parsed.drives[index]:
-        why += "; the file's actuators move it: add actuators and their controls"
-    yield Guess("grippers.gripper", value, why)
+    yield Guess("control_parts.gripper", _listed(gripper.joints), "joints that move the fingers")
+    yield Guess("grippers.gripper", gripper.value, gripper.why)
+
+
+def _tool_guesses(point: ToolPoint, arm: Sequence[str]) -> Iterator[Guess]:
+    """Yield the name of the tool, and the tool point of the arm."""
+    frame = point.frame
+    key = "end_site_name" if frame.kind == "site" else "end_link_name"
+    if not arm:
+        yield Guess("names.tool", frame.name, point.why)
+        return
+    if point.matrix is None:
+        yield Guess("names.tool", frame.name, point.why)
+        yield Guess("solver_cfg.arm", f"{{{key}: {frame.name}}}", "the tool")
+        return
+    rows = ", ".join(
+        f"[{', '.join(f'{round(float(value), 4) + 0.0:g}' for value in row)}]"
+        for row in point.matrix
+    )
+    yield Guess("names.tool", "arm_tcp", point.why)
+    yield Guess("solver_cfg.arm", f"{{{key}: {frame.name}, tcp: [{rows}]}}", "the tool's pose")
+
+
+@dataclass(frozen=True)
+class _Gripper:
+    """How a gripper is moved.
+
+    Attributes:
+        joints: The joints that move the fingers.
+        value: How it opens and closes, as YAML.
+        why: What that was guessed from.
+        gripping: The same for `find_tool_point`.
+    """
+
+    joints: list[str]
+    value: str
+    why: str
+    gripping: Gripping
+
+    @classmethod
+    def find(cls, robot: RobotFile, arm: Sequence[str], fingers: Sequence[str]) -> _Gripper | None:
+        """Return the gripper with two fingers, or None if no joint moves them."""
+        parsed = robot.parsed
+        model = parsed.model
+        moving = [
+            name for name in parsed.joint_names if name not in arm and _moves(model, name, fingers)
+        ]
+        if not moving:
+            return None
+        index = parsed.joint_names.index(moving[0])
+        ends = [float(value) for value in parsed.qpos_limits[index]]
+        why = f"the limits of {moving[0]}: its fingers are farther apart where it opens"
+        actuator = ""
+        commands = ends
+        if parsed.own_actuators and not parsed.drives[index]:
+            actuator, commands, ends = _tendon_ends(robot, moving, ends)
+            why = f"the ends of the actuator {actuator}: fingers are farther apart where it opens"
+            if not actuator:
+                why = f"the limits of {moving[0]}; add the actuators that move it, their controls"
+        poses = [_pose_of(model, moving, end) for end in ends]
+        widths = [_width(robot, pose, fingers) for pose in poses]
+        opened, closed = (0, 1) if widths[0] > widths[1] else (1, 0)
+        value = f"open: {commands[opened]:g}, close: {commands[closed]:g}"
+        if actuator:
+            value += f", actuators: {json.dumps(re.escape(actuator))}"
+        gripping = Gripping(fingers[0], fingers[1], open=poses[opened], close=poses[closed])
+        return cls(moving, f"{{{value}}}", why, gripping)
+
+
+def _tendon_ends(
+    robot: RobotFile, joints: Sequence[str], limits: list[float]
+) -> tuple[str, list[float], list[float]]:
+    """The actuator that moves joints otherwise than by a position servo of each.
+
+    Returns:
+        Its name, empty without one; the ends of its control; the joints' positions there.
+    """
+    import mujoco
+
+    model = robot.parsed.model
+    ids = {int(model.joint(name).id) for name in joints}
+    for actuator in range(model.nu):
+        target = int(model.actuator_trnid[actuator, 0])
+        kind = model.actuator_trntype[actuator]
+        is_limited = bool(model.actuator_ctrllimited[actuator])
+        if kind == mujoco.mjtTrn.mjTRN_TENDON:
+            first = int(model.tendon_adr[target])
+            wraps = range(first, first + int(model.tendon_num[target]))
+            moved = {int(model.wrap_objid[i]) for i in wraps}
+            levers = {int(model.wrap_objid[i]): float(model.wrap_prm[i]) for i in wraps}
+        elif kind == mujoco.mjtTrn.mjTRN_JOINT:
+            moved = {target}
+            levers = {target: 1.0}
+        else:
+            continue
+        if not moved & ids or not is_limited:
+            continue
+        controls = [float(value) for value in model.actuator_ctrlrange[actuator]]
+        gain = float(model.actuator_gainprm[actuator, 0])
+        bias = -float(model.actuator_biasprm[actuator, 1])
+        ends = limits
+        lever = levers.get(int(model.joint(joints[0]).id), 0.0)
+        if bias > 0 and lever:
+            # A servo of a tendon: all its joints move alike until its length is what is asked for.
+            total = sum(abs(value) for value in levers.values())
+            ends = [gain / bias * value / total * (1 if lever > 0 else -1) for value in controls]
+        return model.actuator(actuator).name, controls, ends
+    return "", limits, limits
+
+
+def _pose_of(model: mujoco.MjModel, joints: Sequence[str], value: float) -> dict[str, float]:
+    """Joint -> position, where all are at a value, as far as their limits allow."""
+    pose: dict[str, float] = {}
+    for name in joints:
+        joint = model.joint(name)
+        low, high = (float(end) for end in joint.range)
+        pose[name] = min(max(value, low), high) if joint.limited else value
+    return pose
 
 
 def _leg_guesses(robot: RobotFile) -> Iterator[Guess]:
     """Yield the guesses about a robot that walks."""
-    parsed = robot.parsed
-    feet = [name for name in parsed.link_names if FOOT_NAME.search(name)]
-    if not feet:
-        yield Guess("names.feet", "", "no link is called foot or toe: name the feet")
+    legs = robot.legs
+    if not legs:
+        yield Guess("names.feet", "", "no two legs were found: name the feet")
         return
-    yield Guess("names.feet", _listed(feet), "called feet")
-    legs: dict[str, None] = {}
-    for foot in feet:
-        above = _joints_above(parsed.model, int(parsed.model.body(foot).id))
-        legs |= dict.fromkeys(name for name in above if name in parsed.joint_names)
-    yield Guess("control_parts.legs", _listed([*legs]), "the joints between root and feet")
+    kind = "called feet" if legs[0].kind == "link" else "the lowest shapes of the legs"
+    yield Guess("names.feet", _listed([leg.foot for leg in legs]), kind)
+    joints: dict[str, None] = {}
+    for leg in legs:
+        joints |= dict.fromkeys(name for name in leg.joints if name in robot.parsed.joint_names)
+    yield Guess("control_parts.legs", _listed([*joints]), "the joints between root and feet")
+    thighs = _thighs(robot, legs)
+    if thighs:
+        yield Guess("names.thighs", _listed(thighs), "links of legs, which should not hit anything")
+
+
+def _thighs(robot: RobotFile, legs: Sequence[Leg]) -> list[str]:
+    """The links that carry the last links of the legs, without the trunk."""
+    model = robot.parsed.model
+    links: dict[str, None] = {}
+    for leg in legs:
+        body = int(model.body(leg.body).id)
+        while body and not model.body_jntnum[body]:  # a foot that is fixed on the shank
+            body = int(model.body_parentid[body])
+        name = model.body(int(model.body_parentid[body])).name
+        if name != robot.parsed.root_link_name:
+            links[name] = None
+    return [*links]
+
+
+def _drive_guess(robot: RobotFile) -> Guess:
+    """Guess the gains: the file's actuators, or drives where there are none, or motors."""
+    parsed = robot.parsed
+    stiffness, damping = _ARM_GAINS
+    why = "a URDF has no gains: tune them"
+    if robot.legs:
+        stiffness, damping = leg_gains(parsed.model, robot.legs)
+        why = "by the weight on its legs: the file has no gains: tune them"
+    if not parsed.own_actuators:
+        effort = ", max_effort: file" if (parsed.qf_limits < 1e9).all() else ""
+        armature = ", armature: 0.01" if robot.legs else ""
+        value = f"{{stiffness: {stiffness:g}, damping: {damping:g}{effort}{armature}}}"
+        return Guess("drive_pros", value, why)
+    motors = _motors(robot)
+    if not motors:
+        return Guess("drive_pros", "{stiffness: file}", "the file has actuators")
+    maps = {
+        "stiffness": dict.fromkeys(motors, stiffness),
+        "damping": dict.fromkeys(motors, damping),
+        "max_effort": {name: effort for name, effort in motors.items() if effort},
+    }
+    value = ", ".join(
+        f"{key}: {{{', '.join(f'{json.dumps(re.escape(n))}: {v:g}' for n, v in values.items())}}}"
+        for key, values in maps.items()
+        if values
+    )
+    why = "drives in place of the file's motors, which take torques: tune the gains"
+    return Guess("drive_pros", f"{{{value}}}", why)
+
+
+def _motors(robot: RobotFile) -> dict[str, float]:
+    """Joints that the file moves by a torque or a force -> its largest value, 0 without one."""
+    import mujoco
+
+    parsed = robot.parsed
+    model = parsed.model
+    motors: dict[str, float] = {}
+    for actuator in range(model.nu):
+        if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_JOINT:
+            continue
+        if model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_NONE:
+            continue
+        name = model.joint(int(model.actuator_trnid[actuator, 0])).name
+        if name not in parsed.joint_names or parsed.drives[parsed.joint_names.index(name)]:
+            continue
+        gear = abs(float(model.actuator_gear[model.actuator_outadr[actuator], 0]))
+        gain = abs(float(model.actuator_gainprm[actuator, 0]))
+        largest = 0.0
+        if model.actuator_ctrllimited[actuator]:
+            largest = gear * gain * float(abs(model.actuator_ctrlrange[actuator]).max())
+        motors[name] = largest
+    return motors
 
 
 def _listed(names: Sequence[str]) -> str:
     return f"[{', '.join(json.dumps(re.escape(name)) for name in names)}]"
-
-
-def _body_of(robot: RobotFile) -> int:
-    """MuJoCo's id of the body that carries the tool."""
-    model = robot.parsed.model
-    if robot.tool.kind == "site":
-        return int(model.site(robot.tool.name).bodyid[0])
-    return int(model.body(robot.tool.name).id)
 
 
 def _joints_above(model: mujoco.MjModel, body: int) -> list[str]:
@@ -170,20 +326,66 @@ def _joints_above(model: mujoco.MjModel, body: int) -> list[str]:
 
 
 def _fingers(robot: RobotFile, arm: Sequence[str]) -> list[str]:
-    """Links called fingers, and the link that carries the only one."""
+    """The left and the right finger, or none.
+
+    They are links called so, else two links beyond the arm that move; the link that carries a
+    single jaw is the other finger.
+    """
     model = robot.parsed.model
-    links = [name for name in robot.parsed.link_names if _FINGER.search(name)]
-    joints_of = {name: _joints_above(model, int(model.body(name).id)) for name in links}
-    # A finger is moved by a joint of its own; pads on it are not fingers.
-    moved = [n for n in links if joints_of[n] and joints_of[n][-1] not in arm]
-    first_link_of_joint: dict[str, str] = {}
-    for name in moved:
-        first_link_of_joint.setdefault(joints_of[name][-1], name)
-    fingers = list(first_link_of_joint.values())
+    named = [
+        name
+        for name in robot.parsed.link_names
+        if _FINGER.search(name) or any(map(JAW_NAME.search, _joints_of(model, name)))
+    ]
+    fingers = _first_movers(model, named, arm)
+    if not fingers and arm:
+        last = int(model.jnt_bodyid[model.joint(arm[-1]).id])
+        beyond = [
+            name
+            for name in robot.parsed.link_names
+            if last in _carriers(model, int(model.body(name).id))
+        ]
+        fingers = _first_movers(model, beyond, arm)
+        if len(fingers) < 2:  # what slides or turns alone may be anything
+            return []
     if len(fingers) == 1:  # a jaw that closes on the hand
         parent = int(model.body_parentid[model.body(fingers[0]).id])
         fingers.insert(0, model.body(parent).name)
-    return fingers
+    if len(fingers) < 2:
+        return []
+    left = next((name for name in fingers if _LEFT.search(name)), fingers[0])
+    right = next(name for name in fingers if name != left)
+    return [left, right]
+
+
+def _joints_of(model: mujoco.MjModel, link: str) -> list[str]:
+    """The joints between a link and its parent."""
+    body = int(model.body(link).id)
+    first = int(model.body_jntadr[body])
+    return [model.joint(first + i).name for i in range(int(model.body_jntnum[body]))]
+
+
+def _first_movers(model: mujoco.MjModel, links: Sequence[str], arm: Sequence[str]) -> list[str]:
+    """Of links, those that are moved by a joint beyond the arm that moves none before them.
+
+    Pads on fingers, and the further bars of a linkage, are not fingers.
+    """
+    first_link_of_joint: dict[str, str] = {}
+    for name in links:
+        joints = _joints_above(model, int(model.body(name).id))
+        beyond = [joint for joint in joints if joint not in arm]
+        if beyond:
+            first_link_of_joint.setdefault(beyond[0], name)
+    return list(first_link_of_joint.values())
+
+
+def _carriers(model: mujoco.MjModel, body: int) -> set[int]:
+    """The bodies that carry one, and it itself."""
+    bodies = set()
+    while body:
+        bodies.add(body)
+        body = int(model.body_parentid[body])
+    return bodies
 
 
 def _moves(model: mujoco.MjModel, joint: str, links: Sequence[str]) -> bool:
@@ -191,17 +393,16 @@ def _moves(model: mujoco.MjModel, joint: str, links: Sequence[str]) -> bool:
     return any(joint in _joints_above(model, int(model.body(link).id)) for link in links)
 
 
-def _width(robot: RobotFile, joints: Sequence[str], value: float, links: Sequence[str]) -> float:
-    """Distance of the middles of two links with some joints at a position, m."""
+def _width(robot: RobotFile, pose: Mapping[str, float], links: Sequence[str]) -> float:
+    """Distance of the middles of two links with some joints at positions, m."""
     import mujoco
     import numpy as np
 
     model = robot.parsed.model
     data = mujoco.MjData(model)
     data.qpos[:] = robot.data.qpos
-    for name in joints:
-        low, high = model.joint(name).range
-        data.joint(name).qpos = min(max(value, low), high) if model.joint(name).limited else value
+    for name, value in pose.items():
+        data.joint(name).qpos = value
     mujoco.mj_kinematics(model, data)
     first, second = (data.body(link).xipos for link in links)
     return float(np.linalg.norm(first - second))

@@ -71,7 +71,7 @@ def bent_home(
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Height of the lowest moving point, m: a mesh's vertex, or a corner of a shape's box."""
+    """Height of the lowest moving point, m: of boxes around cylinders and ellipsoids, a corner."""
     import mujoco
 
     heights = []
@@ -85,6 +85,10 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData) -> float:
             start = model.mesh_vertadr[mesh]
             vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]]
             low = (vertices @ upwards).min()
+        elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+            low = -model.geom_size[i, 0]
+        elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            low = -model.geom_size[i, 0] - model.geom_size[i, 1] * abs(upwards[2])
         else:
             middle, half_size = np.split(model.geom_aabb[i], 2)
             low = upwards @ middle - np.abs(upwards) @ half_size

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from embodichain.cli.new_task.legs import FOOT_NAME, Leg, find_legs, stand
 from embodichain.cli.new_task.new_home import bent_home, lowest_point
 from embodichain.cli.new_task.new_reach import ToolFrame, ToolReach
 from embodichain.utils.errors import ConfigError
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 
-__all__ = ["FOOT_NAME", "UR10", "RobotFile", "describe_robot", "read_robot_file"]
+__all__ = ["JAW_NAME", "UR10", "RobotFile", "describe_robot", "read_robot_file"]
 
 _RESERVED_UIDS = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
@@ -54,8 +54,6 @@ actions:                           # controls of its actuators
 """
 _SUFFICIENT_REACH = 0.6
 """Share of the marker's radius: an arm that reaches less from its zero pose is bent."""
-_LONGEST_KEY = 1000
-"""Characters of a key in a flow mapping; YAML 1.2, section 7.4.2, allows 1024 with its quotes."""
 _CLIP = "      clip: [-1, 1]\n"
 _TOOL_WORDS = ("tcp", "tool", "end_effector", "eef", "ee", "grasp", "grip", "pinch", "attachment")
 """Words in the names of sites and links at which tools are fixed: the first is preferred."""
@@ -63,8 +61,8 @@ _TOOL_NAME = re.compile(
     rf"(?:^|[/_])({'|'.join(_TOOL_WORDS)})(?:per)?0?(?:_site|_frame|_point|_center|_link)*$",
     re.IGNORECASE,
 )
-FOOT_NAME = re.compile(r"foot|toe|sole|ankle_roll", re.IGNORECASE)
-"""How links are called on which robots stand."""
+JAW_NAME = re.compile(r"grip|finger|jaw|claw|thumb", re.IGNORECASE)
+"""How joints are called that move a single jaw of a gripper."""
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
 
 
@@ -154,6 +152,8 @@ class RobotFile:
         home: (D,) joint positions of the first pose, rad or m.
         height: Height of its root above the ground, m.
         is_floating: Whether its base is not fixed to the world.
+        legs: Those of a robot that walks.
+        why_home: What the first pose was guessed from.
     """
 
     parsed: ParsedArticulation
@@ -162,6 +162,8 @@ class RobotFile:
     home: tuple[float, ...]
     height: float
     is_floating: bool
+    legs: tuple[Leg, ...] = ()
+    why_home: str = ""
 
 
 def read_robot_file(fpath: str) -> RobotFile:
@@ -190,19 +192,33 @@ def read_robot_file(fpath: str) -> RobotFile:
         raise ConfigError(f"{parsed.path}: no joint moves: there is nothing to act on")
     data = _first_state(parsed, is_floating)
     tool = _find_tool(parsed)
-    if not is_floating and parsed.keyframe is None and not _unservoed_joints(parsed, active):
+    why_home = "the file's keyframe"
+    legs: list[Leg] = []
+    if parsed.keyframe is None:
+        why_home = "zero, or the middle of a range that does not include it"
+    if is_floating:
+        mujoco.mj_comPos(parsed.model, data)
+        legs = find_legs(parsed.model, data, parsed.link_names)
+        if parsed.keyframe is None and stand(parsed.model, data, legs):
+            why_home = "legs bent until the feet are below the hips"
+    elif parsed.keyframe is None and not _unservoed_joints(parsed, active):
+        before = data.qpos.copy()
         scales = _scales(parsed, active)
         joints = list(scales)
         reach = ToolReach(parsed.model, data, tool, joints, scale=np.array(list(scales.values())))
         _bend(parsed, data, reach, joints, _SUFFICIENT_REACH * 0.2)
+        if (data.qpos != before).any():
+            why_home = "bent from zero, so that the tool can move in all directions"
     lift = _lift(lowest_point(parsed.model, data), is_floating)
     return RobotFile(
         parsed=parsed,
         data=data,
         tool=tool,
-        home=tuple(round(float(data.joint(n).qpos[0]), 4) for n in parsed.joint_names),
+        home=tuple(round(float(data.joint(n).qpos[0]), 3) + 0.0 for n in parsed.joint_names),
         height=lift + float(parsed.placement.root_pos[2]) if is_floating else lift,
         is_floating=is_floating,
+        legs=tuple(legs),
+        why_home=why_home,
     )
 
 
@@ -407,7 +423,8 @@ def _home(parsed: ParsedArticulation) -> list[float]:
     home = [float(value) for value in parsed.init_qpos]
     for i, (low, high) in enumerate(limits):
         margin = 0.0
-        if math.isfinite(high - low):
+        # A keyframe is meant as it is, at the end of a range too.
+        if math.isfinite(high - low) and parsed.keyframe is None:
             margin = 0.05 * (high - low)
         if low + margin <= home[i] <= high - margin:
             continue
@@ -490,8 +507,40 @@ def _find_tool(parsed: ParsedArticulation) -> ToolFrame:
             # Sites before links, then the one that is farthest from the root.
             candidates.append((preference, frame.kind == "link", -rank.depth, frame))
     if not candidates:
-        return ToolFrame("link", last_link)
+        return ToolFrame("link", _hand_below(model, last_link))
     return min(candidates)[-1]
+
+
+def _hand_below(model: mujoco.MjModel, link: str) -> str:
+    """The link that carries several moving ones, if `link` is one of them, else `link` itself.
+
+    A hand carries its fingers; what carries all joints of an arm but two is no hand.
+    """
+    body = int(model.body(link).id)
+    joints = _chain_rank(model, body).joints
+    if model.body_jntnum[body] and JAW_NAME.search(model.joint(model.body_jntadr[body]).name):
+        return str(model.body(int(model.body_parentid[body])).name)
+    while body:
+        parent = int(model.body_parentid[body])
+        if 2 * _chain_rank(model, parent).joints < joints:
+            return link
+        branches = [
+            child
+            for child in range(1, model.nbody)
+            if int(model.body_parentid[child]) == parent and _has_joint(model, child)
+        ]
+        if len(branches) > 1:
+            return str(model.body(parent).name)
+        body = parent
+    return link
+
+
+def _has_joint(model: mujoco.MjModel, body: int) -> bool:
+    """Whether a body, or one that it carries, moves relative to its parent."""
+    if model.body_jntnum[body]:
+        return True
+    children = [i for i in range(body + 1, model.nbody) if int(model.body_parentid[i]) == body]
+    return any(_has_joint(model, child) for child in children)
 
 
 def _scales(parsed: ParsedArticulation, active: list[int]) -> dict[str, float]:
@@ -518,26 +567,9 @@ def _list(values: Sequence[float]) -> str:
 
 
 def _map(values: Mapping[str, float]) -> str:
-    """Joint -> number as YAML; one regex for all joints with the same number, if it is a key."""
-    groups: dict[float, list[str]] = {}
-    for name, value in values.items():
-        groups.setdefault(value, []).append(name)
-    items = []
-    for value, names in groups.items():
-        regex = _regex(names, values)
-        keys = [regex] if len(regex) <= _LONGEST_KEY else map(re.escape, names)
-        items += [f"{json.dumps(key)}: {_number(value)}" for key in keys]
+    """Joint -> number as YAML, one key for each joint."""
+    items = [f"{json.dumps(re.escape(name))}: {_number(value)}" for name, value in values.items()]
     return f"{{{', '.join(items)}}}"
-
-
-def _regex(names: Sequence[str], all_names: Iterable[str]) -> str:
-    """A regex that matches only these names: their common prefix if that is enough."""
-    prefix = os.path.commonprefix(list(names))
-    if prefix and len(names) > 1:
-        matches = [name for name in all_names if name.startswith(prefix)]
-        if len(matches) == len(names):
-            return f"{re.escape(prefix)}.*"
-    return "|".join(map(re.escape, names))
 
 
 UR10 = _NewRobot(

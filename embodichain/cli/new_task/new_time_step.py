@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import logging
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
+from embodichain.cli.new_task.task_trials import trial_env
 from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.cli.new_task.embodied_robot import NewEmbodiment
 
 __all__ = ["TimeStep", "time_step"]
 
@@ -18,7 +19,6 @@ _LADDER = (0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)
 _CONTROL_PERIOD = 0.02  # s; 50 Hz
 _STEPS = 50
 """Control steps of a trial: one second."""
-_TRIAL = "trial_of_a_new_task"
 
 
 @dataclass(frozen=True)
@@ -29,16 +29,18 @@ class TimeStep:
         dt: Seconds per physics step.
         why: Why it was chosen, a phrase for the user.
         of_file: Whether it is the file's.
+        period: Seconds of a control step.
     """
 
     dt: float
     why: str = ""
     of_file: bool = False
+    period: float = _CONTROL_PERIOD
 
     @property
     def steps(self) -> int:
         """Physics steps per control step."""
-        return max(1, round(_CONTROL_PERIOD / self.dt))
+        return max(1, round(self.period / self.dt))
 
     @property
     def words(self) -> dict[str, str]:
@@ -53,12 +55,19 @@ class TimeStep:
         }
 
 
-def time_step(file_dt: float | None, text: Callable[[TimeStep], str]) -> TimeStep:
+def time_step(
+    file_dt: float | None,
+    text: Callable[[TimeStep], str],
+    embodiment: NewEmbodiment | None = None,
+    period: float = _CONTROL_PERIOD,
+) -> TimeStep:
     """Return the file's time step, or the largest of a ladder, with which the task is stable.
 
     Args:
         file_dt: The time step of an MJCF, s; a URDF has none.
         text: Makes the YAML of the task.
+        embodiment: The task's embodiment, if it has one.
+        period: Seconds of a control step.
     """
     candidates = list(_LADDER)
     if file_dt is not None:
@@ -66,16 +75,16 @@ def time_step(file_dt: float | None, text: Callable[[TimeStep], str]) -> TimeSte
     unstable: list[str] = []
     for dt in candidates:
         try:
-            diverges = _diverges(text(TimeStep(dt)))
+            diverges = _diverges(text(TimeStep(dt, period=period)), embodiment)
         except ConfigError:
             why = f"{_origin(dt, file_dt)}; not tried, because the task has mistakes"
-            return TimeStep(dt, why, dt == file_dt)
+            return TimeStep(dt, why, dt == file_dt, period)
         if not diverges:
-            return TimeStep(dt, _why(dt, file_dt, unstable), dt == file_dt)
+            return TimeStep(dt, _why(dt, file_dt, unstable), dt == file_dt, period)
         unstable.append(f"{dt:g}")
     why = f"the task diverges with it, and with {', '.join(unstable[1:]) or 'no other'} s too"
     first = candidates[0]
-    return TimeStep(first, f"{_origin(first, file_dt)}; {why}", file_dt is not None)
+    return TimeStep(first, f"{_origin(first, file_dt)}; {why}", file_dt is not None, period)
 
 
 def _origin(dt: float, file_dt: float | None) -> str:
@@ -99,38 +108,18 @@ def _why(dt: float, file_dt: float | None, unstable: list[str]) -> str:
     return f"the largest that is stable in {trial}, which diverge with {larger}"
 
 
-def _diverges(yaml: str) -> bool:
+def _diverges(yaml: str, embodiment: NewEmbodiment | None) -> bool:
     """Whether an environment of a task diverges, two with zero and two with random actions."""
-    import embodichain
     from embodichain.lab.gym.policies import resolve_policy
 
-    with tempfile.TemporaryDirectory() as folder, _quiet():
-        file = Path(folder, "task", f"{_TRIAL}.yaml")
-        file.parent.mkdir()
-        file.write_text(yaml, encoding="utf-8")
-        env = embodichain.make(_TRIAL, num_envs=4, seed=0, config_dir=folder)
-        try:
-            obs, _ = env.reset(seed=0)
-            zero = resolve_policy("zero")
-            random = resolve_policy("random")
-            for _ in range(_STEPS):
-                action = zero(obs, env)
-                action[2:] = random(obs, env)[2:]
-                obs, *_, info = env.step(action)
-                if info["diverged"].any():
-                    return True
-        finally:
-            env.close()
+    with trial_env(yaml, embodiment, num_envs=4) as env:
+        obs, _ = env.reset(seed=0)
+        zero = resolve_policy("zero")
+        random = resolve_policy("random")
+        for _ in range(_STEPS):
+            action = zero(obs, env)
+            action[2:] = random(obs, env)[2:]
+            obs, *_, info = env.step(action)
+            if info["diverged"].any():
+                return True
     return False
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Leave out messages about the file: `validate` has them."""
-    logger = logging.getLogger("embodichain")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)

@@ -249,7 +249,7 @@ def test_what_is_written_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
     pedestal = {"size": [0.2, 0.2, task["robot"]["init_pos"][2]], "pos": [0, 0, 0]}
     assert task["scene"]["pedestal"] == {**pedestal, "collision": False}
     params = task["actions"]["arm"]["params"]
-    assert params["scale"] == {"turn|bend": 0.6, "reach": 0.02}
+    assert params["scale"] == {"turn": 0.6, "bend": 0.6, "reach": 0.02}
     pair = task["rewards"]["distance"]["params"]
     assert pair["from"] == {"uid": "small", "link_names": ["lower"]}
 

@@ -1,0 +1,261 @@
+"""`find_legs`: the legs of a robot that walks, the pose in which it stands, and its gait."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import mujoco
+    from numpy.typing import NDArray
+
+    F64 = NDArray[np.float64]
+
+__all__ = [
+    "FOOT_NAME",
+    "Leg",
+    "find_legs",
+    "foot_position",
+    "leg_gains",
+    "legs_with_feet",
+    "stand",
+    "trot_phases",
+]
+
+FOOT_NAME = re.compile(r"foot|toe|sole|ankle_roll", re.IGNORECASE)
+"""How links are called on which robots stand."""
+_STRAIGHT = 0.94
+"""Share of its length from which a leg counts as stretched."""
+_FOLDED = 0.5
+"""Share of its length below which it counts as folded."""
+_ASIDE = 0.35
+"""Share of its length by which a foot may be before or behind its hip."""
+_STANDING = 0.85
+"""Share of its length to which a stretched or folded leg is bent."""
+_BENDS = (0.7, -0.7)
+"""Angles in rad of the thigh from which the search for a standing leg begins."""
+_ITERATIONS = 100
+_ARRIVED = 5e-3
+"""Distance in metres at which a foot is where it was sent."""
+_SAG = 0.7
+"""Angle in rad by which a drive would yield to the weight on a horizontal leg."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A leg.
+
+    Attributes:
+        foot: What touches the ground.
+        kind: Whether that is a link or a geom.
+        body: Its body.
+        joints: The hinges from the trunk to it.
+        length: Distance in metres from its first pitching joint to the foot when stretched.
+    """
+
+    foot: str
+    kind: Literal["link", "geom"]
+    body: str
+    joints: tuple[str, ...] = field(default=())
+    length: float = 0.0
+
+
+def find_legs(model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[str]) -> list[Leg]:
+    """Find the legs of a robot with a floating base.
+
+    Feet are links called so; without any, the lowest shapes of the ends of chains of two hinges
+    and more that hang below the trunk.
+
+    Args:
+        model: The robot.
+        data: A state of it.
+        links: Its links.
+    """
+    feet = [name for name in links if FOOT_NAME.search(name)]
+    # Of a foot and a toe on it, the first has the ground's contact, as its child does.
+    carried = {name for name in feet if _carrier(model, name, feet)}
+    feet = [name for name in feet if name not in carried]
+    legs = [
+        Leg(foot=name, kind="link", body=name, joints=_hinges(model, model.body(name).id))
+        for name in feet
+    ]
+    legs = [leg for leg in legs if len(leg.joints) >= 2]
+    if len(legs) < 2:
+        legs = _ends_of_chains(model, data, links)
+    return [_with_length(model, data, leg) for leg in legs]
+
+
+def legs_with_feet(model: mujoco.MjModel, data: mujoco.MjData, feet: Sequence[str]) -> list[Leg]:
+    """The legs whose feet are links or geoms with these names."""
+    links = {model.body(i).name for i in range(model.nbody)}
+    legs = []
+    for foot in feet:
+        body = foot if foot in links else model.body(int(model.geom(foot).bodyid[0])).name
+        kind: Literal["link", "geom"] = "link" if foot in links else "geom"
+        joints = _hinges(model, model.body(body).id)
+        legs.append(_with_length(model, data, Leg(foot, kind, body, joints)))
+    return legs
+
+
+def stand(model: mujoco.MjModel, data: mujoco.MjData, legs: Sequence[Leg]) -> list[str]:
+    """Bend legs that are stretched or folded, in `data`; return the feet of those that were bent.
+
+    Args:
+        model: The robot.
+        data: Its first state, which is changed.
+        legs: Its legs.
+    """
+    bent: list[str] = []
+    for leg in legs:
+        hip = data.xanchor[model.joint(_first_pitch(model, data, leg)).id].copy()
+        way = foot_position(data, leg) - hip
+        share = float(np.linalg.norm(way)) / leg.length
+        is_aside = abs(float(way[0])) > _ASIDE * leg.length
+        if way[2] < 0 and _FOLDED <= share <= _STRAIGHT and not is_aside:
+            continue
+        place = np.array([hip[0], foot_position(data, leg)[1], hip[2] - _STANDING * leg.length])
+        if _bend(model, data, leg, place):
+            bent.append(leg.foot)
+    return bent
+
+
+def leg_gains(model: mujoco.MjModel, legs: Sequence[Leg]) -> tuple[float, float]:
+    """Stiffness (N m/rad) and damping (N m s/rad) with which legs bear the robot's weight.
+
+    They are those of what robots are trained with: 25 and 0.5 for a Go2, 80 and 2 for an ANYmal.
+    """
+    weight = 9.81 * float(model.body_subtreemass[0])
+    length = float(np.mean([leg.length for leg in legs]))
+    stiffness = float(f"{weight / len(legs) * length / _SAG:.1g}")
+    return stiffness, float(f"{stiffness / 50:.1g}")
+
+
+def trot_phases(data: mujoco.MjData, legs: Sequence[Leg]) -> list[float]:
+    """The phase of each foot in a gait, in periods: diagonal feet together, or left and right."""
+    places = np.array([foot_position(data, leg)[:2] for leg in legs])
+    middle = places.mean(axis=0)
+    phases = []
+    is_two_legged = len(legs) == 2
+    for x, y in places - middle:
+        is_left = y > 0
+        is_front = x > 0 and not is_two_legged
+        phases.append(0.0 if is_left == is_front else 0.5)
+    return phases
+
+
+def foot_position(data: mujoco.MjData, leg: Leg) -> F64:
+    """(3,) where the origin of a foot is, m."""
+    element = data.geom(leg.foot) if leg.kind == "geom" else data.body(leg.foot)
+    return element.xpos.copy()
+
+
+def _carrier(model: mujoco.MjModel, name: str, others: Sequence[str]) -> bool:
+    """Whether one of some links carries another."""
+    body = int(model.body(name).parentid[0])
+    while body:
+        if model.body(body).name in others:
+            return True
+        body = int(model.body_parentid[body])
+    return False
+
+
+def _hinges(model: mujoco.MjModel, body: int) -> tuple[str, ...]:
+    """The hinges between the root and a body, from the root on."""
+    import mujoco
+
+    names: list[str] = []
+    while body:
+        first = int(model.body_jntadr[body])
+        for i in reversed(range(int(model.body_jntnum[body]))):
+            if model.jnt_type[first + i] == mujoco.mjtJoint.mjJNT_HINGE:
+                names.insert(0, model.joint(first + i).name)
+        body = int(model.body_parentid[body])
+    return tuple(names)
+
+
+def _ends_of_chains(model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[str]) -> list[Leg]:
+    """Legs without a name: chains that end below the trunk, within 10 cm of the lowest end."""
+    import mujoco
+
+    parents = {int(parent) for parent in model.body_parentid}
+    legs: list[Leg] = []
+    heights: list[float] = []
+    for name in links:
+        body = int(model.body(name).id)
+        joints = _hinges(model, body)
+        if body in parents or len(joints) < 2:
+            continue
+        geoms = [int(i) for i in np.flatnonzero(model.geom_bodyid == body)]
+        lowest = min(geoms, key=lambda geom: data.geom_xpos[geom, 2], default=None)
+        foot = model.geom(lowest).name if lowest is not None else ""
+        if lowest is not None and foot and model.geom_type[lowest] != mujoco.mjtGeom.mjGEOM_MESH:
+            legs.append(Leg(foot=foot, kind="geom", body=name, joints=joints))
+            heights.append(float(data.geom_xpos[lowest, 2]))
+        else:
+            legs.append(Leg(foot=name, kind="link", body=name, joints=joints))
+            heights.append(float(data.xpos[body, 2]))
+    lowest_height = min(heights, default=0.0)
+    return [
+        leg
+        for leg, height in zip(legs, heights, strict=True)
+        if height < lowest_height + 0.1 and height < float(data.xpos[1, 2])
+    ]
+
+
+def _first_pitch(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> str:
+    """The first joint that swings a leg forwards, else its first joint."""
+    for name in leg.joints:
+        if abs(float(data.xaxis[model.joint(name).id, 1])) > 0.8:
+            return name
+    return leg.joints[0]
+
+
+def _with_length(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> Leg:
+    """A leg with its length: the way from joint to joint, from the first that pitches on."""
+    first = leg.joints.index(_first_pitch(model, data, leg))
+    points = [data.xanchor[model.joint(name).id] for name in leg.joints[first:]]
+    points.append(foot_position(data, leg))
+    length = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(points))
+    return Leg(leg.foot, leg.kind, leg.body, leg.joints, length)
+
+
+def _bend(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, place: F64) -> bool:
+    """Move a leg's joints until its foot is at a place, if it can be there."""
+    import mujoco
+
+    ids = [model.joint(name).id for name in leg.joints]
+    columns = model.jnt_qposadr[ids]
+    dofs = model.jnt_dofadr[ids]
+    is_limited = model.jnt_limited[ids].astype(bool)
+    margin = 0.03 * (model.jnt_range[ids, 1] - model.jnt_range[ids, 0])
+    low = np.where(is_limited, model.jnt_range[ids, 0] + margin, -np.pi)
+    high = np.where(is_limited, model.jnt_range[ids, 1] - margin, np.pi)
+    first = data.qpos[columns].copy()
+    pitch = leg.joints.index(_first_pitch(model, data, leg))
+    for bend in _BENDS:
+        angles = first.copy()
+        angles[pitch] = bend
+        angles[pitch + 1 : pitch + 2] = -2.0 * bend
+        angles = np.clip(angles, low, high)
+        for _ in range(_ITERATIONS):
+            data.qpos[columns] = angles
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            error = place - foot_position(data, leg)
+            if float(np.linalg.norm(error)) < _ARRIVED:
+                return True
+            jacobian = np.zeros((3, model.nv))
+            body = model.body(leg.body).id
+            mujoco.mj_jac(model, data, jacobian, None, foot_position(data, leg), body)
+            part = jacobian[:, dofs]
+            step = part.T @ np.linalg.solve(part @ part.T + 1e-4 * np.eye(3), error)
+            angles = np.clip(angles + np.clip(step, -0.2, 0.2), low, high)
+    data.qpos[columns] = first
+    mujoco.mj_kinematics(model, data)
+    return False

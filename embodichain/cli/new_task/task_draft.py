@@ -1,0 +1,157 @@
+"""`TaskDraft`: the words of a new task's template, and the parts that several kinds share."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.cli.new_task.guesses import Guess
+from embodichain.cli.new_task.tool_point import body_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.cli.new_task.embodied_robot import EmbodiedRobot
+
+    F64 = NDArray[np.float64]
+
+__all__ = [
+    "TaskDraft",
+    "camera_words",
+    "first_positions",
+    "joint_map",
+    "list_of",
+    "number",
+    "reach_beyond_tool",
+    "rounded",
+    "tool_keys",
+]
+
+
+@dataclass(frozen=True)
+class TaskDraft:
+    """A task of a kind for a robot, before its time step is known.
+
+    Attributes:
+        words: The template's variables.
+        guesses: What was guessed of the task, for people.
+    """
+
+    words: Mapping[str, str]
+    guesses: Sequence[Guess]
+
+
+def rounded(value: float, digits: int = 2) -> float:
+    """A number with so many significant digits, for people to read and change."""
+    if value == 0 or not math.isfinite(value):
+        return value
+    return float(f"{value:.{digits}g}")
+
+
+def number(value: float) -> str:
+    """A number as YAML, without trailing zeros."""
+    return f"{round(float(value), 4) + 0.0:g}"
+
+
+def list_of(values: Iterable[float]) -> str:
+    """Numbers as a list in YAML."""
+    return f"[{', '.join(map(number, values))}]"
+
+
+def joint_map(values: Mapping[str, float]) -> str:
+    """Joint -> number as YAML, one key for each joint."""
+    items = [f"{json.dumps(re.escape(name))}: {number(value)}" for name, value in values.items()]
+    return f"{{{', '.join(items)}}}"
+
+
+def first_positions(robot: EmbodiedRobot, changes: Mapping[str, float]) -> str:
+    """`init_qpos` as YAML with some joints elsewhere, in the form that the embodiment has.
+
+    A list cannot be merged with a map.
+    """
+    parsed = robot.parsed
+    if isinstance(parsed.cfg.init_qpos, Mapping):
+        return joint_map({name: round(value, 3) for name, value in changes.items()})
+    values = [changes.get(name, float(parsed.init_qpos[i])) for i, name in _own_joints(robot)]
+    return list_of(round(value, 3) for value in values)
+
+
+def _own_joints(robot: EmbodiedRobot) -> list[tuple[int, str]]:
+    """Numbers and names of the joints that a list of `init_qpos` gives: of all files together."""
+    return list(enumerate(robot.parsed.joint_names))
+
+
+def tool_keys(robot: EmbodiedRobot) -> str:
+    """The key by which a reference names the tool."""
+    return "site: tool" if robot.tool().kind == "site" else "link: tool"
+
+
+def camera_words(robot: EmbodiedRobot) -> tuple[str, list[Guess]]:
+    """The sensors of the cameras on a robot's wrist, as YAML, and the guesses."""
+    lines = []
+    guesses = []
+    for name in robot.cameras:
+        word = re.sub(r"\W+", "_", name).strip("_") or "camera"
+        lines += [
+            f"  {word}:  # costs nothing until a term reads it: {{func: camera_image, params: "
+            f"{{sensor: {word}}}}}",
+            "    sensor_type: camera",
+            f"    camera: robot/{name}",
+            "    width: 64",
+            "    height: 64",
+        ]
+        guesses.append(Guess(f"sensors.{word}", name, "a camera of the file, on the wrist"))
+    return "".join(f"{line}\n" for line in lines), guesses
+
+
+@dataclass(frozen=True)
+class ToolShape:
+    """How far the shapes of a hand reach from its tool.
+
+    Attributes:
+        beyond: Metres along the tool's z axis, 0 at least.
+        aside: Metres across it, of what is within 3 cm of the end.
+    """
+
+    beyond: float
+    aside: float
+
+
+_END = 0.03
+"""Length of the end of a hand that touches what it pushes, m."""
+
+
+def reach_beyond_tool(robot: EmbodiedRobot, joints: Mapping[str, float]) -> ToolShape:
+    """Measure the shapes that the hand and what it carries collide with.
+
+    Args:
+        robot: The robot.
+        joints: Positions of the gripper's joints, rad or m.
+    """
+    import mujoco
+
+    from embodichain.cli.new_task.tool_point import corners_of, subtree_of
+
+    model = robot.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.data.qpos
+    for name, value in joints.items():
+        data.joint(name).qpos = value
+    mujoco.mj_kinematics(model, data)
+    tool = robot.tool()
+    element = data.site(tool.name) if tool.kind == "site" else data.body(tool.name)
+    body = body_of(model, tool)
+    while body and not model.body_jntnum[body]:
+        body = int(model.body_parentid[body])
+    points = corners_of(model, data, subtree_of(model, body))
+    local = (points - element.xpos) @ element.xmat.reshape(3, 3)
+    beyond = max(0.0, float(local[:, 2].max()))
+    at_end = local[local[:, 2] > beyond - _END]
+    aside = float(np.median(np.hypot(at_end[:, 0], at_end[:, 1])))
+    return ToolShape(beyond, min(aside, 0.1))

@@ -1,0 +1,181 @@
+"""`write_kind`: the YAML of a task of a kind, for the robot of an embodiment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import resources
+from string import Template
+from typing import TYPE_CHECKING
+
+from embodichain.cli.new_task.guesses import Guess
+from embodichain.cli.new_task.kind_pick import draft_pick
+from embodichain.cli.new_task.kind_push import draft_push
+from embodichain.cli.new_task.kind_reach import draft_reach
+from embodichain.cli.new_task.kind_velocity import draft_velocity
+from embodichain.cli.new_task.new_time_step import TimeStep, time_step
+from embodichain.cli.new_task.task_trials import share_of_successes
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.cli.new_task.embodied_robot import EmbodiedRobot
+    from embodichain.cli.new_task.task_draft import TaskDraft
+
+__all__ = ["KINDS", "Kind", "WrittenTask", "write_kind"]
+
+_GOOD_ENOUGH = 0.95
+"""Share of episodes in which the expert of a task that is written should succeed."""
+_MOST_TRIALS = 5
+"""Work areas that are tried, the largest first."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of task.
+
+    Attributes:
+        name: Its name.
+        needs: Names of links, `gripper` and control parts that the robot must have.
+        walks: Whether its base must float; else it must not.
+        has_expert: Whether its expert is tried before the file is written.
+        control_period: Seconds of a control step.
+        draft: Yields the tasks that may do for a robot, the best first.
+    """
+
+    name: str
+    needs: Sequence[str]
+    walks: bool
+    has_expert: bool
+    control_period: float
+    draft: Callable[[EmbodiedRobot], Iterator[TaskDraft]]
+
+
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind("reach", ("tool", "arm"), False, False, 0.02, draft_reach),
+        Kind("push", ("tool", "arm"), False, True, 0.02, draft_push),
+        Kind(
+            "pick",
+            ("tool", "arm", "left_finger", "right_finger", "gripper"),
+            False,
+            True,
+            0.04,
+            draft_pick,
+        ),
+        Kind("velocity", ("feet", "legs"), True, False, 0.02, draft_velocity),
+    )
+}
+"""Name -> kind."""
+_PARTS = ("arm", "legs")
+
+
+@dataclass(frozen=True)
+class WrittenTask:
+    """A task of a kind.
+
+    Attributes:
+        text: Its YAML.
+        guesses: What was guessed, in the order of the file.
+        time_step: Its time step.
+        success: Share of episodes in which its expert succeeded; None without an expert.
+    """
+
+    text: str
+    guesses: Sequence[Guess]
+    time_step: TimeStep
+    success: float | None
+
+
+def write_kind(kind: Kind, robot: EmbodiedRobot) -> WrittenTask:
+    """Return the task of a kind for a robot.
+
+    Raises:
+        ConfigError: If the robot cannot do it: the message names what is missing.
+    """
+    _check_robot(kind, robot)
+    step: TimeStep | None = None
+    best: WrittenTask | None = None
+    for number, draft in enumerate(kind.draft(robot)):
+        if number == _MOST_TRIALS:
+            break
+        if step is None:
+            step = time_step(
+                robot.file_dt,
+                partial(_text, kind, robot, draft),
+                embodiment=robot.embodiment,
+                period=kind.control_period,
+            )
+        text = _text(kind, robot, draft, step)
+        if not kind.has_expert:
+            return WrittenTask(text, draft.guesses, step, None)
+        success = share_of_successes(text, robot.embodiment)
+        if best is None or success > (best.success or 0.0):
+            best = WrittenTask(text, draft.guesses, step, success)
+        if success >= _GOOD_ENOUGH:
+            break
+    if best is None:
+        how = " pointing straight down" if kind.name == "pick" else ""
+        message = f"{kind.name} needs places near the floor that the tool reaches{how}"
+        raise ConfigError(f"{message}: that of {robot.embodiment.name} does not")
+    return best
+
+
+def _check_robot(kind: Kind, robot: EmbodiedRobot) -> None:
+    """Refuse a robot that cannot do a kind of task, in one mistake."""
+    name = robot.embodiment.name
+    if kind.walks and not robot.is_floating:
+        message = f"{kind.name} needs a robot that walks, and the base of {name} is fixed"
+        raise ConfigError(f"{message} (fix_base): it can reach, and perhaps push and pick")
+    if not kind.walks and robot.is_floating:
+        message = f"{kind.name} needs an arm on a fixed base, and the base of {name} floats"
+        raise ConfigError(f"{message} (fix_base: false): a robot with legs can do velocity")
+    missing = [need for need in kind.needs if not _has(robot, need)]
+    if missing:
+        keys = ", ".join(_key_of(need) for need in missing)
+        message = f"{kind.name}: {name} lacks what the task needs: {keys}. "
+        message += f"Write them into conf/embodiment/{name}.yaml, which `embodichain new embodiment"
+        message += f" {name} --robot FILE` begins, and take it with --embodiment {name}"
+        if "gripper" in missing:
+            message += "; `attach` fixes a gripper on an arm: docs/robots.md#a-gripper-on-an-arm"
+        raise ConfigError(message)
+    part = next(need for need in kind.needs if need in _PARTS)
+    joints = robot.joints_of(part)
+    undriven = robot.without_servo(joints)
+    if undriven:
+        message = f"{kind.name} moves joints by position targets, and these of {name} have no "
+        message += f"drive and no position servo: {', '.join(undriven)}; give them gains in "
+        raise ConfigError(f"{message}drive_pros of the embodiment")
+
+
+def _has(robot: EmbodiedRobot, need: str) -> bool:
+    """Whether a robot has a part, a gripper, or a link with a name."""
+    if need in _PARTS:
+        return bool(robot.joints_of(need))
+    if need == "gripper":
+        return bool(getattr(robot.parsed.cfg, "grippers", None))
+    return need in robot.names
+
+
+def _key_of(need: str) -> str:
+    """The key of an embodiment that gives what a task needs."""
+    if need in _PARTS:
+        return f"control_parts.{need}"
+    if need == "gripper":
+        return "grippers.gripper"
+    return f"names.{need}"
+
+
+def _text(kind: Kind, robot: EmbodiedRobot, draft: TaskDraft, step: TimeStep) -> str:
+    """The YAML of a task."""
+    lines = ["# Guessed, and to be checked:"]
+    lines += [f"#   {guess}" for guess in draft.guesses]
+    words = {
+        **draft.words,
+        **step.words,
+        "embodiment": robot.embodiment.name,
+        "guesses": "\n".join(lines),
+    }
+    template = resources.files("embodichain.cli") / "templates" / f"kind_{kind.name}.yaml.tmpl"
+    return Template(template.read_text(encoding="utf-8")).substitute(words)
