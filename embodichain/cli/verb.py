@@ -71,6 +71,9 @@ VERBS = {
     "compare": VerbEntry(
         "learning", "Put trainings side by side: a table, and curves with intervals over seeds."
     ),
+    "study": VerbEntry(
+        "learning", "Train, evaluate and compare what one YAML file declares; resumable."
+    ),
     "report": VerbEntry(
         "logs", "Write one HTML page about a run: results, film, curves, config, how to repeat it."
     ),

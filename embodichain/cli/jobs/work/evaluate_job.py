@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,9 +19,18 @@ if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.learning.episode_statistics import EpisodeStatistics
 
-__all__ = ["EvaluationPlan", "evaluate_job", "evaluation_config", "objective_of"]
+__all__ = [
+    "EVAL_FILE",
+    "EvaluationPlan",
+    "evaluate_job",
+    "evaluation_config",
+    "objective_of",
+    "with_suitable_arrays",
+]
 
 EVAL_FILE = "eval.json"
+"""Name of the results of an evaluation in its folder."""
+_log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -62,6 +72,21 @@ def evaluation_config(resolved: Resolved, plan: EvaluationPlan, *, trim: bool = 
     episodes = math.ceil(plan.episodes / num_envs)
     seed = EVAL_SEED_OFFSET + plan.seed
     return resolved.changed(num_envs=num_envs, episodes=episodes, seed=seed)
+
+
+def with_suitable_arrays(resolved: Resolved) -> Resolved:
+    """Return the config with arrays on the host where an evaluation needs them there.
+
+    Args:
+        resolved: A config of `evaluation_config` that names the policy.
+    """
+    from embodichain.config.environments.host_arrays import why_host, with_arrays
+
+    reasons = why_host(resolved.root, "run")
+    if not reasons or resolved.root.sim.warp.arrays != "device":
+        return resolved
+    _log.warning("the evaluation has arrays on the host, because %s", "; ".join(reasons))
+    return with_arrays(resolved, "host")
 
 
 def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:

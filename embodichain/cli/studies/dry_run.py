@@ -1,0 +1,77 @@
+"""What a study would do: its jobs, what is left of each, and about how long it takes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from embodichain.cli.jobs.work.evaluate_job import EVAL_FILE
+from embodichain.cli.studies.stages import read_stage
+from embodichain.cli.studies.study_job import StudyFolder
+from embodichain.config.run_folder import SUMMARY
+from embodichain.config.study import Study, StudyJob
+
+__all__ = ["job_table"]
+
+
+def job_table(study: Study, place: StudyFolder) -> tuple[str, list[dict[str, Any]]]:
+    """Return a title and a row for each job.
+
+    Time is estimated from stages of the same arm and task that are done, so there is none before
+    the first.
+
+    Args:
+        study: The study.
+        place: Its folder, which need not exist.
+    """
+    rows: list[dict[str, Any]] = []
+    total = 0.0
+    is_known = True
+    for job in study.jobs():
+        left = [name for name in _stages(job) if not _is_done(place, job, name)]
+        seconds: float | None = 0.0
+        for name in left:
+            estimate = _seconds_of_others(study, place, job, name)
+            seconds = None if estimate is None or seconds is None else seconds + estimate
+        if seconds is None:
+            is_known = False
+        else:
+            total += seconds
+        rows.append(
+            {
+                "job": job.name,
+                "arm": job.arm,
+                "task": job.task,
+                "seed": job.seed,
+                "left": ", ".join(left) if left else "nothing",
+                "about": "unknown" if seconds is None else f"{seconds:.0f} s",
+            }
+        )
+    about = f"about {total:.0f} s on one job at a time" if is_known else "time unknown yet"
+    return f"{study.name}: {len(rows)} jobs, {about}", rows
+
+
+def _stages(job: StudyJob) -> Iterator[str]:
+    """Names of the stages of a job."""
+    if job.trains:
+        yield "train"
+    yield from (f"eval-{variation}" for variation in job.study.variations)
+
+
+def _is_done(place: StudyFolder, job: StudyJob, stage: str) -> bool:
+    return bool(read_stage(place.job(job) / stage).get("done"))
+
+
+def _seconds_of_others(study: Study, place: StudyFolder, job: StudyJob, stage: str) -> float | None:
+    """Mean duration of a stage in jobs of the same arm and task; None before the first."""
+    durations: list[float] = []
+    for other in study.jobs():
+        if (other.arm, other.task) != (job.arm, job.task) or not _is_done(place, other, stage):
+            continue
+        name, key = (SUMMARY, "train_seconds") if stage == "train" else (EVAL_FILE, "seconds")
+        content = json.loads((place.job(other) / stage / name).read_text(encoding="utf-8"))
+        durations.append(float(content.get(key) or 0.0))
+    if not durations:
+        return None
+    return sum(durations) / len(durations)
