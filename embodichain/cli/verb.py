@@ -83,6 +83,12 @@ VERBS = {
     "replay": VerbEntry(
         "logs", "Print what a log contains; with --verify simulate it again and compare every bit."
     ),
+    "verify": VerbEntry(
+        "logs", "Check a receipt: its files, its numbers, the physics and the policy's actions."
+    ),
+    "impact": VerbEntry(
+        "logs", "Play logs again after a change: which episodes part, where, and by how much."
+    ),
     "view": VerbEntry(
         "logs", "Print how to open a log in Foxglove or Lichtblick; open it, or play it to them."
     ),

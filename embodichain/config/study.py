@@ -91,8 +91,10 @@ class StudyJob:
             resolved = resolve(compose(lines, "run"), "run")
             if Path(policy).exists():  # a path may have signs of Hydra's grammar
                 resolved = resolved.changed(policy=policy)
+        # What a training chooses and warns of, it says when it is trained.
+        notes = tuple(note for note in resolved.notes if not note.path.startswith("algo"))
         # A policy that was trained in the clean task is meant to act in the changed one.
-        return resolved.changed(
+        return replace(resolved, notes=notes).changed(
             num_envs=evaluate.episodes,
             allow_changed=True,
             record={**resolved.tree["record"], **({} if evaluate.record else {"format": "none"})},

@@ -8,7 +8,12 @@ from typing import Any
 
 from embodichain.cli.jobs.work.evaluate_job import EVAL_FILE
 from embodichain.cli.studies.stages import read_stage
-from embodichain.cli.studies.study_job import StudyFolder
+from embodichain.cli.studies.study_job import (
+    TRAINING,
+    StudyFolder,
+    evaluation_stage,
+    training_stage,
+)
 from embodichain.config.run_folder import SUMMARY
 from embodichain.config.study import Study, StudyJob
 
@@ -29,7 +34,7 @@ def job_table(study: Study, place: StudyFolder) -> tuple[str, list[dict[str, Any
     total = 0.0
     is_known = True
     for job in study.jobs():
-        left = [name for name in _stages(job) if not _is_done(place, job, name)]
+        left = dict(_stages_left(place, job))
         seconds: float | None = 0.0
         for name in left:
             estimate = _seconds_of_others(study, place, job, name)
@@ -41,35 +46,42 @@ def job_table(study: Study, place: StudyFolder) -> tuple[str, list[dict[str, Any
         rows.append(
             {
                 "job": job.name,
-                "arm": job.arm,
-                "task": job.task,
-                "seed": job.seed,
                 "left": ", ".join(left) if left else "nothing",
+                "why": next(iter(left.values()), ""),
                 "about": "unknown" if seconds is None else f"{seconds:.0f} s",
             }
         )
-    about = f"about {total:.0f} s on one job at a time" if is_known else "time unknown yet"
+    about = f"about {total:.0f} s, one after the other" if is_known else "time unknown yet"
     return f"{study.name}: {len(rows)} jobs, {about}", rows
 
 
-def _stages(job: StudyJob) -> Iterator[str]:
-    """Names of the stages of a job."""
+def _stages_left(place: StudyFolder, job: StudyJob) -> Iterator[tuple[str, str]]:
+    """Yield the name of each stage that has to run, and why."""
+    trains_again = False
     if job.trains:
-        yield "train"
-    yield from (f"eval-{variation}" for variation in job.study.variations)
-
-
-def _is_done(place: StudyFolder, job: StudyJob, stage: str) -> bool:
-    return bool(read_stage(place.job(job) / stage).get("done"))
+        reason = training_stage(place, job).why_it_runs()
+        if reason is not None:
+            trains_again = True
+            yield TRAINING, reason
+    for variation in job.study.variations:
+        name = place.evaluation(job, variation).name
+        if trains_again:
+            yield name, "after the training"
+            continue
+        reason = evaluation_stage(place, job, variation).why_it_runs()
+        if reason is not None:
+            yield name, reason
 
 
 def _seconds_of_others(study: Study, place: StudyFolder, job: StudyJob, stage: str) -> float | None:
     """Mean duration of a stage in jobs of the same arm and task; None before the first."""
     durations: list[float] = []
     for other in study.jobs():
-        if (other.arm, other.task) != (job.arm, job.task) or not _is_done(place, other, stage):
+        if (other.arm, other.task) != (job.arm, job.task):
             continue
-        name, key = (SUMMARY, "train_seconds") if stage == "train" else (EVAL_FILE, "seconds")
+        if not read_stage(place.job(other) / stage).get("done"):
+            continue
+        name, key = (SUMMARY, "train_seconds") if stage == TRAINING else (EVAL_FILE, "seconds")
         content = json.loads((place.job(other) / stage / name).read_text(encoding="utf-8"))
         durations.append(float(content.get(key) or 0.0))
     if not durations:

@@ -9,12 +9,13 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from embodichain.cli.jobs.receipt import RECEIPT, write_receipt
 from embodichain.cli.studies.episode_table import (
     DRAWN,
     EpisodeTable,
@@ -22,7 +23,7 @@ from embodichain.cli.studies.episode_table import (
     write_table,
 )
 from embodichain.cli.studies.stages import read_stage
-from embodichain.cli.studies.study_job import StudyFolder
+from embodichain.cli.studies.study_job import STUDY, StudyFolder
 from embodichain.config.study import Study
 from embodichain.learning.evaluation.across_tasks import (
     TaskSummary,
@@ -41,15 +42,13 @@ from embodichain.learning.evaluation.paired import (
     compare_rates,
     compare_values,
 )
-from embodichain.learning.evaluation.statistics import SeedEstimate, over_seeds
+from embodichain.learning.evaluation.statistics import CONFIDENCE, SeedEstimate, over_seeds
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text
 
 __all__ = ["StudyResults", "read_results", "write_results"]
 
 _RATES = ("success",)
-_MOST_FACTORS = 5
-"""Factors in a printed table."""
 
 
 @dataclass(frozen=True)
@@ -178,10 +177,16 @@ class StudyResults:
         if self.pairs:
             rows = [_pair_row(result) for result in self.pairs]
             yield f"difference from {self.study.baseline}, on the same starts", rows
+        if self.factors:
+            rows = [_factor_row(factors) for factors in self.factors]
+            yield "the drawn factor that success depends on most", rows
+
+    def factor_tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+        """Yield a title and rows for each joint model of factors."""
         for factors in self.factors:
             if factors.ranking is not None and factors.ranking.effects:
-                title = f"what success depends on: {factors.arm}, {factors.task}"
-                yield f"{title}, {factors.variation}", _factor_rows(factors.ranking)
+                title = f"factors: {factors.arm}, {factors.task}, {factors.variation}"
+                yield title, _factor_rows(factors.ranking)
 
     def _arm_table(self) -> tuple[str, list[dict[str, Any]]]:
         """One row an arm, task and variation; a column a metric."""
@@ -214,8 +219,6 @@ def write_results(study: Study, place: StudyFolder) -> StudyResults:
     Raises:
         ConfigError: No evaluation is done, or a file is damaged or cannot be written.
     """
-    from dataclasses import replace
-
     results = read_results(study, place)
     folder = place.path
     try:
@@ -226,9 +229,29 @@ def write_results(study: Study, place: StudyFolder) -> StudyResults:
         results = replace(results, files=tuple(files))
         text = json.dumps(results.as_dict(), indent=2, allow_nan=False, default=_plain)
         write_text(folder / "results.json", text + "\n")
+        _write_receipt(study, place, results)
     except OSError as error:
         raise ConfigError(f"cannot write the results of the study: {error}") from error
     return results
+
+
+def _write_receipt(study: Study, place: StudyFolder, results: StudyResults) -> None:
+    """Write the receipt of the study, with those of its evaluations among its files."""
+    folder = place.path
+    receipts: list[Path] = []
+    for job in study.jobs():
+        for variation in study.variations:
+            path = place.evaluation(job, variation) / RECEIPT
+            if path.is_file():
+                receipts.append(path)
+    arms = [asdict(result) for result in results.arms]
+    facts = {
+        "study": study.name,
+        "seeds": list(study.cfg.seeds),
+        "results": json.loads(json.dumps(arms, default=_plain)),
+    }
+    files = [folder / STUDY, *results.files, *receipts]
+    write_receipt(folder, "study", facts, files=files)
 
 
 def read_results(study: Study, place: StudyFolder) -> StudyResults:
@@ -448,9 +471,32 @@ def _pair_row(pairs: Pairs) -> dict[str, Any]:
     return row
 
 
+def _factor_row(factors: Factors) -> dict[str, Any]:
+    """The first factor of an analysis, or why there is none."""
+    row = {
+        "task": factors.task,
+        "variation": factors.variation,
+        "arm": factors.arm,
+        "factor": "",
+        "p": "",
+        "note": "",
+    }
+    ranking = factors.ranking
+    if ranking is None:
+        return row
+    row["note"] = "; ".join(ranking.notes)
+    if ranking.effects:
+        first = ranking.effects[0]
+        # Bonferroni's correction: the first of several is small by chance more often than one.
+        p_value = min(1.0, first.p_value * len(ranking.effects))
+        row["factor"] = first.name if p_value < 1 - CONFIDENCE else "none found"
+        row["p"] = f"{p_value:.2g}"
+    return row
+
+
 def _factor_rows(ranking: FactorRanking) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    for effect in ranking.effects[:_MOST_FACTORS]:
+    for effect in ranking.effects:
         odds = ""
         if effect.odds_ratio is not None and effect.odds_interval is not None:
             low, high = effect.odds_interval
@@ -494,7 +540,7 @@ def _markdown(results: StudyResults) -> str:
     """The tables as Markdown."""
     study = results.study
     lines = [f"# {study.name}", "", study.cfg.description, ""]
-    for title, rows in results.tables():
+    for title, rows in [*results.tables(), *results.factor_tables()]:
         lines += [f"## {title}", "", *_markdown_table(rows), ""]
     lines += [f"* {note}" for note in results.notes]
     return "\n".join(lines).rstrip() + "\n"

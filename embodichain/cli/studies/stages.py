@@ -8,16 +8,13 @@ results, the compiled model, and files such as the checkpoint that an evaluation
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
-import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import embodichain
+from embodichain.cli.jobs.code_digest import code_digest, file_digest, modules_in
 from embodichain.cli.jobs.job import Work, execute
 from embodichain.cli.sweeps.sweep_jobs import differences, enter
 from embodichain.config.keys.schema import JobVerb
@@ -26,13 +23,12 @@ from embodichain.config.run_folder import versions
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text
 
-__all__ = ["Stage", "file_digest", "read_stage"]
+__all__ = ["Stage", "read_stage"]
 
 RECORD = "stage.json"
 _LIBRARIES = ("python", "mujoco", "numpy", "torch", "stable-baselines3", "gymnasium")
 _NO_INPUTS = ("quiet", "json", "traceback", "output_dir", "resume", "viewer", "wandb", "trust")
 """Keys of the root that change no result."""
-_IMPORT_PATH = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _MOST_NAMED = 3
 
 
@@ -68,7 +64,7 @@ class Stage:
         """
         made_from = self._inputs()
         record = read_stage(self.folder)
-        reason = self._why_again(record, made_from)
+        reason = self._why(record, made_from)
         if reason is None:
             return False
         say(reason)
@@ -90,7 +86,11 @@ class Stage:
             _write(self.folder, {**facts, "done": True})
         return True
 
-    def _why_again(self, record: Mapping[str, Any], made_from: Mapping[str, str]) -> str | None:
+    def why_it_runs(self) -> str | None:
+        """Return why the stage has to run; None if it is done."""
+        return self._why(read_stage(self.folder), self._inputs())
+
+    def _why(self, record: Mapping[str, Any], made_from: Mapping[str, str]) -> str | None:
         """Why the stage has to run; None if it is done."""
         if not record:
             return "begins"
@@ -120,7 +120,7 @@ class Stage:
         scene = compile_scene_of(self.resolved)
         inputs = {
             "config": _digest(dump_yaml(_relevant(self.resolved)).encode()),
-            "code": _code_digest(tuple(sorted(set(_modules_in(self.resolved.tree))))),
+            "code": code_digest(tuple(sorted(set(modules_in(self.resolved.tree))))),
         }
         if scene is not None:  # else a class adds to the scene; its module is in the code
             from embodichain.recording.format.attachments import model_bytes, model_digest
@@ -148,12 +148,6 @@ def read_stage(folder: Path) -> dict[str, Any]:
     return record if isinstance(record, dict) else {}
 
 
-def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def _relevant(resolved: Resolved) -> dict[str, Any]:
     """The part of a config on which results depend."""
     tree = {key: value for key, value in resolved.tree.items() if key not in _NO_INPUTS}
@@ -171,30 +165,3 @@ def _write(folder: Path, facts: Mapping[str, Any]) -> None:
 
 def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
-
-
-@cache
-def _code_digest(modules: tuple[str, ...]) -> str:
-    """Digest of the sources of this package, and of the modules that a config names."""
-    root = Path(embodichain.__file__).parent
-    total = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        total.update(str(path.relative_to(root)).encode())
-        total.update(path.read_bytes())
-    for module in modules:
-        spec = importlib.util.find_spec(module)
-        if spec is not None and spec.origin is not None and Path(spec.origin).is_file():
-            total.update(Path(spec.origin).read_bytes())
-    return total.hexdigest()
-
-
-def _modules_in(value: Any) -> Iterator[str]:
-    """Yield the modules of all ``package.module:function`` in a config."""
-    if isinstance(value, Mapping):
-        for item in value.values():
-            yield from _modules_in(item)
-    elif isinstance(value, list | tuple):
-        for item in value:
-            yield from _modules_in(item)
-    elif isinstance(value, str) and _IMPORT_PATH.fullmatch(value):
-        yield value.partition(":")[0]

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,13 +20,12 @@ from embodichain.cli.jobs.work.evaluate_job import (
     evaluation_config,
     objective_of,
     with_suitable_arrays,
+    write_evaluation_receipt,
 )
 from embodichain.cli.jobs.work.train_job import train_job
 from embodichain.cli.studies.stages import Stage, read_stage
 from embodichain.cli.sweeps.sweep_jobs import JobStoppedError
 from embodichain.cli.sweeps.sweep_progress import JobRow, read_numbers
-from embodichain.config.keys.schema import JobVerb
-from embodichain.config.resolved import Resolved
 from embodichain.config.run_folder import CHECKPOINT
 from embodichain.config.study import Study, StudyJob, read_study
 from embodichain.utils.errors import ConfigError
@@ -37,8 +34,11 @@ from embodichain.utils.system.atomic import write_text
 __all__ = [
     "FAILURE",
     "STUDY",
+    "TRAINING",
     "StudyFolder",
+    "evaluation_stage",
     "run_study_job",
+    "training_stage",
 ]
 
 STUDY = "study.json"
@@ -223,54 +223,59 @@ class _Runner:
 
     def run(self) -> None:
         """Train if the arm does, then evaluate under every variation."""
-        chosen = self._place.chosen(self._job)
         if self._job.trains:
-            folder = self._place.training(self._job)
-            with self._in_stage(folder):
-                self._run(folder, self._job.training(chosen), train_job)
+            self.stage = TRAINING
+            self._run(training_stage(self._place, self._job), train_job)
+        plan = evaluation_plan(self._job)
         for variation in self._job.study.variations:
-            folder = self._place.evaluation(self._job, variation)
-            with self._in_stage(folder):
-                self._evaluate(folder, variation, chosen)
+            self.stage = self._place.evaluation(self._job, variation).name
+            stage = evaluation_stage(self._place, self._job, variation)
+            self._run(stage, partial(_play, plan=plan))
 
-    def _evaluate(self, folder: Path, variation: str, chosen: list[str]) -> None:
-        evaluate = self._job.study.cfg.evaluate
-        plan = EvaluationPlan(evaluate.episodes, self._job.seed)
-        resolved = self._job.evaluation(variation, chosen)
-        inputs: dict[str, Path] = {}
-        if self._job.trains:
-            checkpoint = self._place.training(self._job) / CHECKPOINT
-            inputs = {"policy": checkpoint}
-            resolved = resolved.changed(policy=str(checkpoint.resolve()))
-        elif Path(str(self._job.arm_cfg.policy)).exists():
-            from embodichain.learning.checkpoints.checkpoint import find_checkpoint
-
-            file = find_checkpoint(Path(str(self._job.arm_cfg.policy))).resolve()
-            inputs = {"policy": file}
-            resolved = resolved.changed(policy=str(file))
-        config = with_suitable_arrays(evaluation_config(resolved, plan))
-        self._run(folder, config, partial(_play, plan=plan), inputs)
-
-    def _run(
-        self, folder: Path, resolved: Resolved, work: Work, inputs: dict[str, Path] | None = None
-    ) -> None:
+    def _run(self, stage: Stage, work: Work) -> None:
         if self._num_threads is not None:
-            sim = {**resolved.tree["sim"], "num_threads": self._num_threads}
-            resolved = resolved.changed(sim=sim)
-        verb: JobVerb = "train" if work is train_job else "run"
-        stage = Stage(folder, resolved, verb, inputs or {})
+            sim = {**stage.resolved.tree["sim"], "num_threads": self._num_threads}
+            stage = replace(stage, resolved=stage.resolved.changed(sim=sim))
         stage.run(work, self._command, self._say)
 
     def _say(self, line: str) -> None:
         sys.stderr.write(f"{self._job.name}: {self.stage}: {line}\n")
         sys.stderr.flush()
 
-    @contextmanager
-    def _in_stage(self, folder: Path) -> Iterator[None]:
-        self.stage = folder.name
-        yield
+
+def training_stage(place: StudyFolder, job: StudyJob) -> Stage:
+    """Return the stage of a job's training."""
+    folder = place.training(job)
+    return Stage(folder, job.training(place.chosen(job)), verb="train", inputs={})
+
+
+def evaluation_plan(job: StudyJob) -> EvaluationPlan:
+    """Return the options of a job's evaluations, whose seed is the job's."""
+    return EvaluationPlan(job.study.cfg.evaluate.episodes, job.seed)
+
+
+def evaluation_stage(place: StudyFolder, job: StudyJob, variation: str) -> Stage:
+    """Return the stage of a job's evaluation.
+
+    Raises:
+        ConfigError: The policy's file does not exist.
+    """
+    from embodichain.learning.checkpoints.checkpoint import find_checkpoint
+
+    resolved = job.evaluation(variation, place.chosen(job))
+    inputs: dict[str, Path] = {}
+    policy = place.training(job) / CHECKPOINT if job.trains else Path(str(job.arm_cfg.policy))
+    if job.trains or policy.exists():  # else it is the name of one
+        file = find_checkpoint(policy).resolve()
+        inputs = {"policy": file}
+        resolved = resolved.changed(policy=str(file))
+    config = with_suitable_arrays(evaluation_config(resolved, evaluation_plan(job)))
+    return Stage(place.evaluation(job, variation), config, verb="run", inputs=inputs)
 
 
 def _play(job: Job, plan: EvaluationPlan) -> float | None:
     """The work of an evaluation."""
-    return objective_of(evaluate_job(job, plan))
+    result = evaluate_job(job, plan)
+    if result["complete"]:
+        write_evaluation_receipt(job, plan, result)
+    return objective_of(result)

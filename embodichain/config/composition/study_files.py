@@ -26,7 +26,6 @@ from embodichain.config.composition.hydra_loader import (
     searched,
 )
 from embodichain.config.composition.locate import COMMAND_LINE, ConfigFile, Locator
-from embodichain.config.composition.removed_entries import remove_null_entries
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -97,9 +96,7 @@ def compose_study(name: str, overrides: Sequence[str] = ()) -> ComposedStudy:
         problems += file.problems()
     tree, unresolved = plain_values(config, locator)
     problems += unresolved
-    tree, absent = remove_null_entries(tree, locator.gives)
-    problems += [problem.at(locator.source(problem.path)) for problem in absent]
-    return ComposedStudy(name, lines, tree, locator, tuple(problems))
+    return ComposedStudy(name, lines, _without_null_entries(tree), locator, tuple(problems))
 
 
 def tasks_of_suite(name: str) -> list[str]:
@@ -120,6 +117,21 @@ def tasks_of_suite(name: str) -> list[str]:
         message = f"{SUITE_GROUP}/{name}.yaml must have a list `tasks` of names of tasks"
         raise ConfigError([Problem("suite", message)])
     return tasks
+
+
+def _without_null_entries(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return a study without the arms and variations that are null: inherited and taken out."""
+    remaining = dict(tree)
+    if isinstance(remaining.get("arms"), dict):
+        remaining["arms"] = _given(remaining["arms"])
+    evaluate = remaining.get("evaluate")
+    if isinstance(evaluate, dict) and isinstance(evaluate.get("variations"), dict):
+        remaining["evaluate"] = {**evaluate, "variations": _given(evaluate["variations"])}
+    return remaining
+
+
+def _given(entries: dict[str, Any]) -> dict[str, Any]:
+    return {name: entry for name, entry in entries.items() if entry is not None}
 
 
 def _is_hydras(line: str) -> bool:

@@ -175,6 +175,13 @@ def rank_factors(factors: Mapping[str, ArrayLike], success: ArrayLike) -> Factor
     columns = _drop_redundant(columns, notes)
     if not columns:
         return FactorRanking((), (), int(succeeded.size), tuple(notes))
+    if rarer < _LEAST_OF_KIND * len(columns):
+        kind = "succeeded" if succeeded.sum() == rarer else "failed"
+        notes.append(
+            f"{rarer} episodes {kind}: a model of {len(columns)} factors needs at least "
+            f"{_LEAST_OF_KIND * len(columns)}"
+        )
+        return FactorRanking((), (), int(succeeded.size), tuple(notes))
     design = _design(columns, rarer, notes)
     return _fit(design, succeeded, notes)
 
@@ -279,8 +286,6 @@ def _design(columns: dict[str, F64], rarer: int, notes: list[str]) -> _Design:
             )
             continue
         chosen += _independent(chosen, further)
-    if len(names) > allowed:
-        notes.append(f"{rarer} episodes of the rarer result are few for {len(names)} factors")
     return _Design(tuple(chosen), means, scales)
 
 

@@ -126,3 +126,12 @@ def test_groups_have_equal_numbers_of_episodes_or_one_value_each():
     values[:10] = np.nan
     kinds = success_by_factor(np.where(np.isnan(values), np.nan, 3.0), values > 0.5)
     assert [(group.low, group.high, group.success.trials) for group in kinds] == [(3.0, 3.0, 90)]
+
+
+def test_few_failures_are_not_explained_by_many_factors():
+    rng = np.random.default_rng(8)
+    success = np.full(EPISODES, True)
+    success[:7] = False
+    ranking = rank_factors(drawn(rng), success)
+    assert ranking.effects == ()
+    assert ranking.notes == ("7 episodes failed: a model of 5 factors needs at least 25",)
