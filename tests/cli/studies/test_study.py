@@ -225,7 +225,15 @@ def test_a_search_is_frozen_before_the_evaluations(write_study, capsys) -> None:
     )
     folder = write_study("search", text)
     assert (
-        main(["study", "search", ONE_BY_ONE, "--quiet", "train=[num_envs=4,total_timesteps=64,eval.episodes=2]"])
+        main(
+            [
+                "study",
+                "search",
+                ONE_BY_ONE,
+                "--quiet",
+                "train=[num_envs=4,total_timesteps=64,eval.episodes=2]",
+            ]
+        )
         == 0
     )
     (chosen,) = (folder / "search" / "ppo-cart_pole" / "chosen.yaml").read_text().splitlines()
@@ -236,7 +244,15 @@ def test_a_search_is_frozen_before_the_evaluations(write_study, capsys) -> None:
     assert {json.loads(path.read_text())["seed"] for path in trials} == {1}  # no result's seed
     capsys.readouterr()
     assert (
-        main(["study", "search", ONE_BY_ONE, "--quiet", "train=[num_envs=4,total_timesteps=64,eval.episodes=2]"])
+        main(
+            [
+                "study",
+                "search",
+                ONE_BY_ONE,
+                "--quiet",
+                "train=[num_envs=4,total_timesteps=64,eval.episodes=2]",
+            ]
+        )
         == 0
     )
     assert len(list((folder / "search/ppo-cart_pole").glob("*/summary.json"))) == len(trials)
