@@ -1,4 +1,4 @@
-"""`embodichain verify`: receipts of evaluations, collections and studies; what was tampered with."""
+"""`embodichain verify`: receipts of evaluations, collections, studies; what was tampered with."""
 
 import json
 import shutil
