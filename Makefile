@@ -16,6 +16,7 @@
 #                  that pyproject.toml allows
 #   make names     write the list of public names that a test compares with
 #   make format    sort imports and format the code
+#   make impact    what this checkout does to six logs of another commit: BASE=origin/main
 #   make pins      write constraints.txt, locked.txt and the list of licences from what .venv holds now
 #   make clean     remove the environments and what the tools left; outputs/ stays
 #
@@ -42,7 +43,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test test-fast coverage test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
+.PHONY: impact help run venv test test-fast coverage test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
@@ -100,6 +101,16 @@ coverage: venv
 # Every task on MuJoCo Warp's CPU device. Kernels that are not in Warp's cache are compiled: minutes.
 test-warp: venv
 	EMBODICHAIN_TEST_WARP=all $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 1800 tests/lab/sim/engine/warp/test_warp_tasks.py
+
+# Six logs, recorded with the code of another commit, played again with this one: what parts, and where.
+BASE ?= origin/main
+impact: $(RUNS)
+	rm -rf build/base build/golden
+	git worktree prune
+	git worktree add --detach build/base "$(BASE)"
+	cd build/base && PYTHONPATH=. $(BIN)/python $(CURDIR)/scripts/golden_logs.py $(CURDIR)/build/golden
+	git worktree remove --force build/base
+	$(BIN)/embodichain impact build/golden/*/rollout.mcap
 
 # Warnings are errors: a link without a target, a page without a place, a docstring that cannot be read.
 # It is a folder of files: `python -m http.server -d build/site` serves it, and then its search works too.

@@ -71,6 +71,9 @@ VERBS = {
     "compare": VerbEntry(
         "learning", "Put trainings side by side: a table, and curves with intervals over seeds."
     ),
+    "study": VerbEntry(
+        "learning", "Train, evaluate and compare what one YAML file declares; resumable."
+    ),
     "report": VerbEntry(
         "logs", "Write one HTML page about a run: results, film, curves, config, how to repeat it."
     ),
@@ -79,6 +82,12 @@ VERBS = {
     ),
     "replay": VerbEntry(
         "logs", "Print what a log contains; with --verify simulate it again and compare every bit."
+    ),
+    "verify": VerbEntry(
+        "logs", "Check a receipt: its files, its numbers, the physics and the policy's actions."
+    ),
+    "impact": VerbEntry(
+        "logs", "Play logs again after a change: which episodes part, where, and by how much."
     ),
     "view": VerbEntry(
         "logs", "Print how to open a log in Foxglove or Lichtblick; open it, or play it to them."

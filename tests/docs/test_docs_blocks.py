@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from embodichain.config import resolve
+from embodichain.config.study import check_jobs, resolve_study
 from tests.helpers.code_blocks import run_forked
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
@@ -61,7 +62,7 @@ def write_option(folder, group, name, text):
 def test_yaml_is_a_task(text, page, tmp_path, monkeypatch):
     """A block is a task file, or some of its sections; it may name the page's own files.
 
-    One that begins as a variation does is one, of a shipped task.
+    One that begins as a variation does is one, of a shipped task; one with arms is a study.
     """
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -76,6 +77,10 @@ def test_yaml_is_a_task(text, page, tmp_path, monkeypatch):
         task = resolve(["task=push_cube"], "run").tree["task"]
         for section in yaml.safe_load(text).keys() & {"events", "actions", "observations"}:
             assert resolved.tree["task"][section] != task[section]
+        return
+    if "arms" in yaml.safe_load(text):
+        write_option(tmp_path / "conf", "study", "block", text)
+        check_jobs(resolve_study("block"))
         return
     write_option(tmp_path / "mine", "task", "block", text)
     resolved = resolve(["task=block"], "run", tmp_path / "mine")

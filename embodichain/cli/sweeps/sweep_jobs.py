@@ -16,7 +16,7 @@ import logging
 import os
 import platform
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +34,7 @@ from embodichain.utils.system import platforms
 __all__ = [
     "Entered",
     "JobStoppedError",
+    "differences",
     "enter",
     "is_finished",
     "objective_in",
@@ -92,7 +93,12 @@ class JobRunsError(EmbodichainError):
 
 @contextmanager
 def enter(
-    folder: Path, resolved: Resolved, verb: JobVerb, *, seed_is_drawn: bool = False
+    folder: Path,
+    resolved: Resolved,
+    verb: JobVerb,
+    *,
+    seed_is_drawn: bool = False,
+    is_outdated: Callable[[], bool] = lambda: False,
 ) -> Iterator[Entered]:
     """Enter the folder of a job, which no other process can enter until the context is left.
 
@@ -101,6 +107,8 @@ def enter(
         resolved: The job's config.
         verb: The verb of the job.
         seed_is_drawn: Whether the config has no seed of its own; an earlier start's is then used.
+        is_outdated: Whether what an existing folder has is of other inputs; the folder is then kept
+            under another name. It is called when no other process is in the folder.
 
     Raises:
         ConfigError: The folder has another job, or cannot be made.
@@ -114,6 +122,10 @@ def enter(
                 adopt(folder)
             yield Entered(resolved)
             return
+        if is_outdated():
+            _keep_as_earlier(folder)
+            yield Entered(resolved)
+            return
         earlier = read_config(folder / CONFIG)
         if seed_is_drawn:
             resolved = resolved.changed(seed=earlier.get("seed"))
@@ -123,10 +135,8 @@ def enter(
             yield Entered(resolved, is_continued=True, finished=True, objective=objective)
             return
         if state == "stopped":
-            new_name = _unused_path(folder.with_name(f"{folder.name}.earlier"))
-            folder.rename(new_name)
+            new_name = _keep_as_earlier(folder)
             _log.warning("%s was not finished and has no checkpoint: kept as %s", folder, new_name)
-            adopt(folder)
             yield Entered(resolved)
             return
         if state == "resumable":
@@ -262,12 +272,12 @@ def _note_owner(stream: TextIO) -> None:
 def _check_same_config(folder: Path, earlier: Mapping[str, Any], resolved: Resolved) -> None:
     """Check that a folder's job is the one with this config."""
     now = yaml.safe_load(dump_yaml(resolved.tree))
-    differences = list(_differences(_relevant_keys(earlier), _relevant_keys(now)))
-    if not differences:
+    changes = list(differences(_relevant_keys(earlier), _relevant_keys(now)))
+    if not changes:
         return
-    text = "; ".join(differences[:_MOST_NAMED])
-    if len(differences) > _MOST_NAMED:
-        text += f" and {len(differences) - _MOST_NAMED} more"
+    text = "; ".join(changes[:_MOST_NAMED])
+    if len(changes) > _MOST_NAMED:
+        text += f" and {len(changes) - _MOST_NAMED} more"
     message = f"{folder} has another job: {text}. Give another hydra.sweep.dir"
     raise ConfigError([Problem("hydra.sweep.dir", message)])
 
@@ -277,14 +287,22 @@ def _relevant_keys(config: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in config.items() if key not in _MAY_DIFFER}
 
 
-def _differences(before: Any, now: Any, path: str = "") -> Iterator[str]:
+def differences(before: Any, now: Any, path: str = "") -> Iterator[str]:
     """``KEY is A there, B here`` for each value that differs."""
     if isinstance(before, Mapping) and isinstance(now, Mapping):
         for key in dict.fromkeys([*before, *now]):
             key_path = f"{path}.{key}" if path else str(key)
-            yield from _differences(before.get(key), now.get(key), key_path)
+            yield from differences(before.get(key), now.get(key), key_path)
     elif before != now:
         yield f"{path} is {before!r} there, {now!r} here"
+
+
+def _keep_as_earlier(folder: Path) -> Path:
+    """Rename a job's folder and claim it anew; return its new name."""
+    new_name = _unused_path(folder.with_name(f"{folder.name}.earlier"))
+    folder.rename(new_name)
+    adopt(folder)
+    return new_name
 
 
 def _move_evaluation_files(folder: Path) -> None:

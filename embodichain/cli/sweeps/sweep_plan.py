@@ -95,12 +95,12 @@ def with_sweepers_params(verb: JobVerb, overrides: Sequence[str]) -> list[str]:
 
 
 def compose_for_hydra(
-    verb: JobVerb, lines: Sequence[str], mode: RunMode = RunMode.MULTIRUN
+    config_name: str, lines: Sequence[str], mode: RunMode = RunMode.MULTIRUN
 ) -> DictConfig:
     """Return a config with Hydra's own node, composed as Hydra's `main` does.
 
     Args:
-        verb: The verb of the jobs.
+        config_name: The root config of the jobs: their verb, or ``study_job``.
         lines: Overrides as typed.
         mode: Whether it is a sweep.
 
@@ -112,16 +112,16 @@ def compose_for_hydra(
     other_lines = [line for line in lines if not line.lstrip("+").startswith(SEARCH_PATH)]
     with searched(places), config_loader() as loader:
         try:
-            return loader.load_configuration(verb, relax(other_lines, loader), mode)
+            return loader.load_configuration(config_name, relax(other_lines, loader), mode)
         except COMPOSING as error:
             raise ConfigError(explain(error, loader)) from error
 
 
-def plan_sweep(verb: JobVerb, overrides: Sequence[str], first: Resolved) -> Plan:
+def plan_sweep(config_name: str, overrides: Sequence[str], first: Resolved) -> Plan:
     """Decide how a sweep is run.
 
     Args:
-        verb: The verb of the jobs.
+        config_name: The root config of the jobs: their verb, or ``study_job``.
         overrides: As typed, with sweeps.
         first: The config of the first job.
 
@@ -131,7 +131,7 @@ def plan_sweep(verb: JobVerb, overrides: Sequence[str], first: Resolved) -> Plan
     lines = list(overrides)
     with config_loader() as loader:
         installed = loader.get_group_options(LAUNCHER)
-    config = compose_for_hydra(verb, lines)
+    config = compose_for_hydra(config_name, lines)
     cores = all_cores()
     jobs = _count_jobs(config, lines)
     most_at_once = min(jobs, _batch_size(config, jobs))
@@ -141,7 +141,7 @@ def plan_sweep(verb: JobVerb, overrides: Sequence[str], first: Resolved) -> Plan
     if can_be_parallel and not is_chosen and not _needs_machine(first):
         launcher = _JOBLIB
         lines.append(f"{LAUNCHER}={launcher}")
-        config = compose_for_hydra(verb, lines)
+        config = compose_for_hydra(config_name, lines)
     note = ""
     if launcher != _BASIC:
         at_once, threads = _divide_cores(config, launcher, cores, most_at_once)

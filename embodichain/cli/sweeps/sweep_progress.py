@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import StringIO
@@ -24,7 +24,7 @@ from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["JobRow", "job_label", "job_rows", "show_progress", "table_of"]
+__all__ = ["JobRow", "job_label", "job_rows", "read_numbers", "show_progress", "table_of"]
 
 PROGRESS = "progress.csv"
 _SHORTEST_PERIOD_S = 10.0
@@ -113,12 +113,11 @@ def table_of(rows: Sequence[JobRow], jobs: int) -> str:
 
 
 @contextmanager
-def show_progress(folder: Path, keys: Sequence[str], jobs: int) -> Iterator[None]:
+def show_progress(read_rows: Callable[[], list[JobRow]], jobs: int) -> Iterator[None]:
     """Write the table to stderr while the context lasts, whenever it has changed.
 
     Args:
-        folder: The sweep's folder.
-        keys: Keys with several values in the sweep.
+        read_rows: Returns the state of each job that has begun.
         jobs: Number of jobs of the sweep.
     """
     ended = threading.Event()
@@ -129,7 +128,7 @@ def show_progress(folder: Path, keys: Sequence[str], jobs: int) -> Iterator[None
         period = _SHORTEST_PERIOD_S
         previous_table = ""
         while not ended.wait(period):
-            table = table_of(job_rows(folder, keys), jobs)
+            table = table_of(read_rows(), jobs)
             if table != previous_table:
                 stream.write(table)
                 stream.flush()
@@ -160,7 +159,7 @@ def _read_row(folder: Path, keys: Sequence[str]) -> JobRow:
     return JobRow(
         label=job_label(folder.name, overrides, keys),
         state=state,
-        numbers=_read_numbers(folder / PROGRESS),
+        numbers=read_numbers(folder / PROGRESS),
     )
 
 
@@ -171,8 +170,11 @@ def _is_newer(path: Path, than: Path) -> bool:
         return False
 
 
-def _read_numbers(path: Path) -> dict[str, float]:
-    """The last value of each column in a `progress.csv`, whose last row may be incomplete."""
+def read_numbers(path: Path) -> dict[str, float]:
+    """Return steps, steps/s, return and success of the last row of a `progress.csv`.
+
+    The last row may be incomplete: then the one before it counts.
+    """
     try:
         with path.open("rb") as stream:
             header = stream.readline().decode()

@@ -1,4 +1,4 @@
-"""Runs a planned sweep: its progress, its failures, and the comparison at its end."""
+"""Runs a planned sweep: its progress, and its failures."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from hydra.core.plugins import Plugins
 
 from embodichain.cli.sweeps.launching import Cluster
 from embodichain.cli.sweeps.sweep_jobs import is_finished, process_log, stop_mark
 from embodichain.cli.sweeps.sweep_plan import Plan
-from embodichain.cli.sweeps.sweep_progress import show_progress
+from embodichain.cli.sweeps.sweep_progress import JobRow, job_rows, show_progress
 from embodichain.cli.terminal.process import Interrupted, StopFlag
 from embodichain.config.composition.registered_options import hydras_name
 from embodichain.config.keys.launchers import LAUNCHERS
@@ -28,7 +29,7 @@ from embodichain.config.run_folder import CONFIG
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 from embodichain.utils.system.processes import end_with, own_process
 
-__all__ = ["SweepError", "run_sweep"]
+__all__ = ["JobStates", "JobsOfVerb", "SweepError", "run_sweep"]
 
 _BACKEND = "loky"
 _ENDED_BY = " ERROR   run: ended by "
@@ -42,12 +43,63 @@ class SweepError(EmbodichainError):
     """Jobs of a sweep failed."""
 
 
-def run_sweep(plan: Plan, verb: JobVerb, job: Callable[[], Any], *, quiet: bool) -> None:
-    """Run a sweep with Hydra, and compare its trainings.
+class JobStates(Protocol):
+    """What the folders of a sweep say about its jobs."""
+
+    @property
+    def how_to_continue(self) -> str:
+        """What to type so that unfinished jobs are done."""
+
+    def begun(self) -> list[str]:
+        """The names of the jobs that have begun, in order."""
+
+    def is_finished(self, name: str) -> bool:
+        """Whether nothing is left to do for a job."""
+
+    def rows(self) -> list[JobRow]:
+        """The states of the jobs that have begun, for the table of progress."""
+
+
+@dataclass(frozen=True)
+class JobsOfVerb:
+    """The jobs of a sweep of one verb, each with one run in its folder.
+
+    Attributes:
+        plan: The sweep's plan.
+        verb: The verb.
+    """
+
+    plan: Plan
+    verb: JobVerb
+
+    @property
+    def how_to_continue(self) -> str:
+        """See `JobStates`."""
+        return f"the same command with hydra.sweep.dir={self.plan.folder} does the rest"
+
+    def begun(self) -> list[str]:
+        """See `JobStates`."""
+        sweep = self.plan.folder
+        names = {path.parent.name for path in sweep.glob(f"*/{CONFIG}")}
+        names |= {path.stem for path in process_log(sweep, "0").parent.glob("*.log")}
+        jobs = [name for name in names if ".earlier-" not in name]
+        return sorted(jobs, key=lambda name: (len(name), name))  # 10 after 9
+
+    def is_finished(self, name: str) -> bool:
+        """See `JobStates`."""
+        return is_finished(self.plan.folder / name, self.verb)
+
+    def rows(self) -> list[JobRow]:
+        """See `JobStates`."""
+        return job_rows(self.plan.folder, self.plan.keys)
+
+
+def run_sweep(plan: Plan, states: JobStates, job: Callable[[], Any], *, quiet: bool) -> None:
+    """Run a sweep with Hydra.
 
     Args:
         plan: Its plan.
-        verb: The verb of its jobs.
+        states: Reads the states of its jobs.
         job: Hydra's `main`.
         quiet: Whether only errors and the jobs' results are written.
 
@@ -63,20 +115,20 @@ def run_sweep(plan: Plan, verb: JobVerb, job: Callable[[], Any], *, quiet: bool)
     try:
         with ExitStack() as stack:
             if plan.is_parallel and not quiet:
-                stack.enter_context(show_progress(plan.folder, plan.keys, plan.jobs))
+                stack.enter_context(show_progress(states.rows, plan.jobs))
             if plan.launcher == "joblib":
                 stack.enter_context(_workers_of_joblib(stop, plan.folder))
             job()
     except KeyboardInterrupt as error:
         if plan.folder.is_dir():
-            text = f"{str(error) or 'interrupted'}; {_count_finished(plan, verb)}"
+            text = f"{str(error) or 'interrupted'}; {_count_finished(plan, states)}"
             raise Interrupted.by(getattr(error, "signal", None), text) from error
         raise
     except Exception as error:
         if stop.stopped is not None:
-            text = f"interrupted ({stop.stopped}); {_count_finished(plan, verb)}"
+            text = f"interrupted ({stop.stopped}); {_count_finished(plan, states)}"
             raise Interrupted.by(stop.stopped, text) from error
-        unfinished_jobs = _unfinished_jobs(plan.folder, verb) if plan.folder.is_dir() else []
+        unfinished_jobs = _unfinished_jobs(states) if plan.folder.is_dir() else []
         if not unfinished_jobs or _is_about_hydra(error):
             raise
         killed_worker = _describe_killed_worker(error)
@@ -85,11 +137,7 @@ def run_sweep(plan: Plan, verb: JobVerb, job: Callable[[], Any], *, quiet: bool)
             # Jobs that only ended with the killed worker have nothing to say.
             if not killed_worker or _has_logged_error(plan.folder / name):
                 _show_logs(plan.folder, name)
-        raise SweepError(_count_finished(plan, verb)) from error
-    if verb == "train":
-        from embodichain.cli.sweeps.sweep_report import report_sweep
-
-        report_sweep(plan.folder, quiet=quiet)
+        raise SweepError(_count_finished(plan, states)) from error
 
 
 @contextmanager
@@ -200,28 +248,20 @@ def _register(launcher: str) -> None:
     Plugins.instance().class_name_to_class[hydras_name(entry.launcher)] = entry.launcher
 
 
-def _begun_jobs(sweep: Path) -> list[str]:
-    """The names of the folders of the jobs that have begun, in order."""
-    names = {path.parent.name for path in sweep.glob(f"*/{CONFIG}")}
-    names |= {path.stem for path in process_log(sweep, "0").parent.glob("*.log")}
-    jobs = [name for name in names if ".earlier-" not in name]
-    return sorted(jobs, key=lambda name: (len(name), name))  # 10 after 9
+def _unfinished_jobs(states: JobStates) -> list[str]:
+    return [name for name in states.begun() if not states.is_finished(name)]
 
 
-def _unfinished_jobs(sweep: Path, verb: JobVerb) -> list[str]:
-    return [name for name in _begun_jobs(sweep) if not is_finished(sweep / name, verb)]
-
-
-def _count_finished(plan: Plan, verb: JobVerb) -> str:
+def _count_finished(plan: Plan, states: JobStates) -> str:
     """A sentence about finished and unfinished jobs, and how to continue."""
-    unfinished = _unfinished_jobs(plan.folder, verb)
-    finished = [name for name in _begun_jobs(plan.folder) if name not in unfinished]
+    unfinished = _unfinished_jobs(states)
+    finished = [name for name in states.begun() if name not in unfinished]
     text = f"{len(finished)} of {plan.jobs} jobs are done"
     if finished:
         text += f": {', '.join(finished)}"
     if unfinished:
         text += f"; not done: {', '.join(unfinished)}"
-    return f"{text}; the same command with hydra.sweep.dir={plan.folder} does the rest"
+    return f"{text}; {states.how_to_continue}"
 
 
 def _describe_killed_worker(error: Exception) -> str:

@@ -34,7 +34,7 @@ from embodichain.cli.sweeps.sweep_plan import (
     with_sweepers_params,
 )
 from embodichain.cli.sweeps.sweep_progress import job_label
-from embodichain.cli.sweeps.sweep_run import run_sweep
+from embodichain.cli.sweeps.sweep_run import JobsOfVerb, JobStates, run_sweep
 from embodichain.cli.terminal.plain_text import degrading_text
 from embodichain.cli.terminal.process import Interrupted
 from embodichain.cli.verb import JobOptions
@@ -59,7 +59,7 @@ from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt, check_unused, missing_folders, take_back
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["call_hydra", "points", "towards_scores"]
+__all__ = ["call_hydra", "launch_jobs", "points", "towards_scores"]
 
 _RUN_FOLDER = "hydra.run.dir"
 _DIRECTION = "hydra.sweeper.direction"
@@ -151,7 +151,51 @@ def call_hydra(
             if errors:
                 raise errors[0]
         else:
-            run_sweep(plan, verb, job, quiet=options.quiet or options.json)
+            quiet = options.quiet or options.json
+            run_sweep(plan, JobsOfVerb(plan, verb), job, quiet=quiet)
+            if verb == "train":
+                from embodichain.cli.sweeps.sweep_report import report_sweep
+
+                report_sweep(plan.folder, quiet=quiet)
+
+
+def launch_jobs(
+    config_name: str,
+    run_job: Callable[[DictConfig], None],
+    plan: Plan,
+    states: JobStates,
+    *,
+    quiet: bool,
+) -> None:
+    """Run the jobs of a plan with Hydra's launchers, where a job is not that of a verb.
+
+    Args:
+        config_name: The root config of the jobs.
+        run_job: Runs the job of a composed config; it is pickled for the workers of a launcher.
+        plan: The jobs, see `plan_sweep`.
+        states: Reads the states of the jobs.
+        quiet: Whether to show no progress.
+
+    Raises:
+        SweepError: Jobs were killed.
+        Interrupted: A signal came.
+    """
+    config_dir = chosen_config_dir()
+
+    @hydra.main(**VERSION_BASE, config_path="pkg://embodichain.conf", config_name=config_name)
+    def job(config: DictConfig) -> None:
+        # In a worker, too, whose streams are its own.
+        with user_configs(config_dir), degrading_text():
+            if stop_mark(Path(HydraConfig.get().sweep.dir)).exists():
+                raise JobStoppedError("the sweep was interrupted before this job")
+            with _replace_interrupt():
+                run_job(config)
+
+    with config_loader() as loader:
+        arguments = ["--multirun", *relax(plan.overrides, loader)]
+    places, _ = search_path(plan.overrides)
+    with searched(places), _process(f"embodichain {config_name}", arguments):
+        run_sweep(plan, states, job, quiet=quiet)
 
 
 def _check_sweep(

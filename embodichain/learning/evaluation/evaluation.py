@@ -49,8 +49,8 @@ class Evaluation:
         metrics: Mean over episodes of each metric.
         curriculum: Of a task with one: the stage at which it was held, ``values`` and
             ``control_step``, and whether that is of the policy's ``training``.
-        per_episode: ``env``, ``return``, ``length`` and, where known, ``success`` of each episode,
-            ordered by environment, then by time.
+        per_episode: ``env``, ``return``, ``length``, where known ``success``, and ``metrics`` (name
+            -> a number an episode) of each episode, ordered by environment, then by time.
     """
 
     episodes: int
@@ -68,7 +68,7 @@ class Evaluation:
     rewards: dict[str, float]
     metrics: dict[str, float]
     curriculum: dict[str, Any] | None
-    per_episode: dict[str, list[Any]]
+    per_episode: dict[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON."""
@@ -154,12 +154,19 @@ def _summarize(
     def column(name: str) -> NDArray[Any]:
         return counted.column(name)[order]
 
-    per_episode = {name: column(name).tolist() for name in ("env", "return", "length")}
+    per_episode: dict[str, Any] = {}
+    for name in ("env", "return", "length"):
+        per_episode[name] = column(name).tolist()
     success: Rate | None = None
     if "success" in counted.names():
         successes = column("success").astype(np.bool_)
         success = rate(successes)
         per_episode["success"] = successes.tolist()
+    metrics = [name for name in counted.names() if name.startswith("metrics/")]
+    if metrics:
+        per_episode["metrics"] = {
+            name.removeprefix("metrics/"): column(name).tolist() for name in metrics
+        }
     return Evaluation(
         episodes=counted.episodes,
         complete=counted.complete,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.job import Job, policy_name, policy_of
+from embodichain.cli.jobs.receipt import RECEIPT, write_receipt
 from embodichain.cli.jobs.work.summary_file import failure_in_summary, write_summary
 from embodichain.cli.results.summaries import collection_rows
 from embodichain.cli.terminal.output import print_facts, print_json
@@ -57,6 +58,8 @@ def collect_job(job: Job) -> float | None:
         with failure_in_summary(job, facts):
             summary = facts | _collect(job, writer)
         write_summary(job, summary)
+    if summary["status"] == "finished":
+        _write_receipt(job, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= job.film(summary["log"])
     if root.json:
@@ -70,6 +73,26 @@ def collect_job(job: Job) -> float | None:
             f"{most_frequent} (collect.give_up_after)"
         )
     return summary["yield"]
+
+
+def _write_receipt(job: Job, summary: dict[str, Any]) -> None:
+    """Write the receipt of a complete collection."""
+    facts = {
+        "task": summary["task"],
+        "policy": summary["policy"],
+        "seed": summary["seed"],
+        "results": {name: summary[name] for name in ("successes", "failures", "yield")},
+    }
+    files = sorted(
+        path for path in job.folder.iterdir() if path.suffix in (".mcap", ".json", ".jsonl")
+    )
+    write_receipt(
+        job.folder,
+        "collect",
+        facts,
+        files=[path for path in files if path.name != RECEIPT],
+        logs=[job.folder / name for name in summary["logs"]],
+    )
 
 
 def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.jobs.job import Job, policy_of
+from embodichain.cli.jobs.job import Job, policy_name, policy_of
+from embodichain.cli.jobs.receipt import write_receipt
 from embodichain.cli.terminal.output import result_number, to_json
 from embodichain.cli.terminal.reporting import ProgressDisplay, episodes_of
 from embodichain.utils.errors import ConfigError, Problem
@@ -18,9 +21,19 @@ if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.learning.episode_statistics import EpisodeStatistics
 
-__all__ = ["EvaluationPlan", "evaluate_job", "evaluation_config", "objective_of"]
+__all__ = [
+    "EVAL_FILE",
+    "EvaluationPlan",
+    "evaluate_job",
+    "evaluation_config",
+    "objective_of",
+    "with_suitable_arrays",
+    "write_evaluation_receipt",
+]
 
 EVAL_FILE = "eval.json"
+"""Name of the results of an evaluation in its folder."""
+_log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -62,6 +75,21 @@ def evaluation_config(resolved: Resolved, plan: EvaluationPlan, *, trim: bool = 
     episodes = math.ceil(plan.episodes / num_envs)
     seed = EVAL_SEED_OFFSET + plan.seed
     return resolved.changed(num_envs=num_envs, episodes=episodes, seed=seed)
+
+
+def with_suitable_arrays(resolved: Resolved) -> Resolved:
+    """Return the config with arrays on the host where an evaluation needs them there.
+
+    Args:
+        resolved: A config of `evaluation_config` that names the policy.
+    """
+    from embodichain.config.environments.host_arrays import why_host, with_arrays
+
+    reasons = why_host(resolved.root, "run")
+    if not reasons or resolved.root.sim.warp.arrays != "device":
+        return resolved
+    _log.warning("the evaluation has arrays on the host, because %s", "; ".join(reasons))
+    return with_arrays(resolved, "host")
 
 
 def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:
@@ -113,6 +141,42 @@ def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:
     text = to_json(job.resolved.record(result), indent=2)
     write_text(job.folder / EVAL_FILE, text + "\n")
     return result
+
+
+def write_evaluation_receipt(job: Job, plan: EvaluationPlan, result: Mapping[str, Any]) -> Path:
+    """Write `receipt.json` of a finished evaluation into its folder.
+
+    Args:
+        job: The job of the evaluation.
+        plan: The options of the evaluation.
+        result: What `evaluate_job` has returned.
+
+    Returns:
+        The receipt.
+    """
+    policy = job.root.policy
+    file = Path(policy) if isinstance(policy, str) and Path(policy).is_file() else None
+    results = {name: result[name] for name in ("success", "returns", "length", "confidence")}
+    facts = {
+        "task": result["task"],
+        "policy": policy_name(job.root),
+        "seed": plan.seed,
+        "deterministic": plan.deterministic,
+        "num_envs": result["num_envs"],
+        "episodes": result["episodes"],
+        "results": json.loads(to_json(results)),
+    }
+    logs = [] if result["log"] is None else [Path(result["log"])]
+    # A log may have several parts, or one for each shard.
+    parts = sorted([*job.folder.glob("rollout*.mcap"), *job.folder.glob("rollout*.json")])
+    return write_receipt(
+        job.folder,
+        "eval",
+        facts,
+        files=[job.folder / EVAL_FILE, *(parts if logs else [])],
+        logs=logs,
+        policy=file,
+    )
 
 
 def _drawn_in(log: Path, envs: Sequence[int]) -> dict[str, list[list[float] | None]]:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import logging
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.job import Job
 from embodichain.cli.jobs.work.demonstrations import read_dataset
-from embodichain.cli.jobs.work.evaluate_job import EvaluationPlan, evaluate_job, evaluation_config
+from embodichain.cli.jobs.work.evaluate_job import (
+    EvaluationPlan,
+    evaluate_job,
+    evaluation_config,
+    with_suitable_arrays,
+)
 from embodichain.cli.jobs.work.summary_file import failure_in_summary
 from embodichain.cli.results.summaries import training_rows
 from embodichain.cli.terminal.output import print_facts, print_json
@@ -21,9 +25,6 @@ if TYPE_CHECKING:
     from embodichain.learning.evaluation.episodes import TrainStatistics
 
 __all__ = ["train_job"]
-
-
-_log = logging.getLogger(__name__)
 
 
 def train_job(job: Job) -> float | None:
@@ -103,14 +104,10 @@ def _learn(job: Job) -> dict[str, Any]:
 
 def _evaluate(job: Job, resolved: Resolved, plan: EvaluationPlan) -> dict[str, Any]:
     """Evaluate the final checkpoint; returns the summary with the results."""
-    from embodichain.config.environments.host_arrays import why_host, with_arrays
     from embodichain.config.run_folder import CHECKPOINT
     from embodichain.learning.training.train import add_evaluation
 
     resolved = resolved.changed(policy=str((job.folder / CHECKPOINT).resolve()))
-    reasons = why_host(resolved.root, "run")
-    if reasons and resolved.root.sim.warp.arrays == "device":
-        resolved = with_arrays(resolved, "host")
-        _log.warning("the evaluation has arrays on the host, because %s", "; ".join(reasons))
+    resolved = with_suitable_arrays(resolved)
     result = evaluate_job(dataclasses.replace(job, resolved=resolved), plan)
     return add_evaluation(job.folder, result) | job.film(result["log"])

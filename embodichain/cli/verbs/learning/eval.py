@@ -19,6 +19,7 @@ from embodichain.cli.jobs.work.evaluate_job import (
     evaluate_job,
     evaluation_config,
     objective_of,
+    write_evaluation_receipt,
 )
 from embodichain.cli.results.summaries import evaluation_rows
 from embodichain.cli.terminal.output import print_facts, print_json
@@ -137,6 +138,8 @@ def _evaluate(job: Job, plan: EvaluationPlan, note: str | None) -> float | None:
         The objective for a sweeper.
     """
     result = evaluate_job(job, plan)
+    if result["complete"]:
+        write_evaluation_receipt(job, plan, result)
     result |= job.film(result["log"])
     if note is not None and job.quiet:
         _log.warning(note)  # on stderr, too: nothing is printed below

@@ -1,0 +1,89 @@
+"""What a study would do: its jobs, what is left of each, and about how long it takes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from embodichain.cli.jobs.work.evaluate_job import EVAL_FILE
+from embodichain.cli.studies.stages import read_stage
+from embodichain.cli.studies.study_job import (
+    TRAINING,
+    StudyFolder,
+    evaluation_stage,
+    training_stage,
+)
+from embodichain.config.run_folder import SUMMARY
+from embodichain.config.study import Study, StudyJob
+
+__all__ = ["job_table"]
+
+
+def job_table(study: Study, place: StudyFolder) -> tuple[str, list[dict[str, Any]]]:
+    """Return a title and a row for each job.
+
+    Time is estimated from stages of the same arm and task that are done, so there is none before
+    the first.
+
+    Args:
+        study: The study.
+        place: Its folder, which need not exist.
+    """
+    rows: list[dict[str, Any]] = []
+    total = 0.0
+    is_known = True
+    for job in study.jobs():
+        left = dict(_stages_left(place, job))
+        seconds: float | None = 0.0
+        for name in left:
+            estimate = _seconds_of_others(study, place, job, name)
+            seconds = None if estimate is None or seconds is None else seconds + estimate
+        if seconds is None:
+            is_known = False
+        else:
+            total += seconds
+        rows.append(
+            {
+                "job": job.name,
+                "left": ", ".join(left) if left else "nothing",
+                "why": next(iter(left.values()), ""),
+                "about": "unknown" if seconds is None else f"{seconds:.0f} s",
+            }
+        )
+    about = f"about {total:.0f} s, one after the other" if is_known else "time unknown yet"
+    return f"{study.name}: {len(rows)} jobs, {about}", rows
+
+
+def _stages_left(place: StudyFolder, job: StudyJob) -> Iterator[tuple[str, str]]:
+    """Yield the name of each stage that has to run, and why."""
+    trains_again = False
+    if job.trains:
+        reason = training_stage(place, job).why_it_runs()
+        if reason is not None:
+            trains_again = True
+            yield TRAINING, reason
+    for variation in job.study.variations:
+        name = place.evaluation(job, variation).name
+        if trains_again:
+            yield name, "after the training"
+            continue
+        reason = evaluation_stage(place, job, variation).why_it_runs()
+        if reason is not None:
+            yield name, reason
+
+
+def _seconds_of_others(study: Study, place: StudyFolder, job: StudyJob, stage: str) -> float | None:
+    """Mean duration of a stage in jobs of the same arm and task; None before the first."""
+    durations: list[float] = []
+    for other in study.jobs():
+        if (other.arm, other.task) != (job.arm, job.task):
+            continue
+        if not read_stage(place.job(other) / stage).get("done"):
+            continue
+        name, key = (SUMMARY, "train_seconds") if stage == TRAINING else (EVAL_FILE, "seconds")
+        content = json.loads((place.job(other) / stage / name).read_text(encoding="utf-8"))
+        durations.append(float(content.get(key) or 0.0))
+    if not durations:
+        return None
+    return sum(durations) / len(durations)

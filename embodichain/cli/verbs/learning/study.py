@@ -1,0 +1,93 @@
+"""`embodichain study`: train, evaluate and compare what one YAML file declares; resumable."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+import click
+
+from embodichain.cli.terminal.output import print_json, print_table
+from embodichain.cli.terminal.process import FAILED
+from embodichain.cli.verb import verb
+
+__all__ = ["command"]
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """What was typed after `study`.
+
+    Attributes:
+        name: The study, a file of the group `study`.
+        words: Overrides of its keys and of Hydra's.
+        dry_run: Print the jobs instead of running them.
+        quiet: Print no progress and no tables.
+        json: Print the result as one JSON object.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    dry_run: bool
+    quiet: bool
+    json: bool
+
+
+@verb(
+    "study",
+    ("study reach_light", "train, evaluate and compare; again: go on where it stopped"),
+    ("study reach_light 'seeds=[0,1]' '~arms.expert'", "fewer seeds, one arm less"),
+    ("study reach_light --dry-run", "the jobs, and what is left of each"),
+    ("study reach_light hydra/launcher=slurm", "jobs on a cluster"),
+    options=StudyOptions,
+    config_dir=True,
+    quiet=True,
+)
+@click.argument("name", metavar="NAME")
+@click.argument("words", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--dry-run", is_flag=True, help="Print the jobs instead of running them.")
+def command(options: StudyOptions) -> int | None:
+    """Run what is left of a study, and write its results."""
+    from embodichain.cli.studies.dry_run import job_table
+    from embodichain.cli.studies.results import write_results
+    from embodichain.cli.studies.run_study import folder_of, run_jobs, run_searches
+    from embodichain.config.study import check_jobs, resolve_study
+
+    quiet = options.quiet or options.json
+    hydra_lines = [word for word in options.words if _is_hydras(word)]
+    lines = [word for word in options.words if not _is_hydras(word)]
+    study = resolve_study(options.name, lines)
+    check_jobs(study)
+    place = folder_of(study)
+    if options.dry_run:
+        title, rows = job_table(study, place)
+        if options.json:
+            print_json({"jobs": rows})
+        else:
+            print_table(title, rows)
+        return None
+    place.write(study)
+    run_searches(study, place, hydra_lines)
+    failed = run_jobs(study, place, hydra_lines, quiet=quiet)
+    results = write_results(study, place)
+    if options.json:
+        print_json(results.as_dict())
+    elif not options.quiet:
+        for title, rows in results.tables():
+            print_table(title, rows)
+        for note in results.notes:
+            sys.stdout.write(f"{note}\n")
+        sys.stdout.write("".join(f"{path}\n" for path in results.files))
+    for job in failed:
+        failure = place.failure(job) or {}
+        sys.stderr.write(f"{job.name}: {failure.get('stage')} failed: {failure.get('error')}\n")
+        sys.stderr.write("".join(f"  {line}\n" for line in failure.get("last_lines", [])))
+    if failed:
+        sys.stderr.write(f"{len(failed)} of {len(study.jobs())} jobs failed; the same command ")
+        sys.stderr.write("runs them again\n")
+        return FAILED
+    return None
+
+
+def _is_hydras(word: str) -> bool:
+    return word.lstrip("+~").startswith(("hydra.", "hydra/"))
