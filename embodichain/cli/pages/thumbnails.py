@@ -6,9 +6,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from embodichain.cli.pages.galleries import jpeg
 from embodichain.cli.pages.page import data_url
 from embodichain.cli.pages.run_record import RunRecord
-from embodichain.cli.pages.stills import jpeg
 from embodichain.utils.errors import EmbodichainError
 from embodichain.utils.system.atomic import atomic_file
 

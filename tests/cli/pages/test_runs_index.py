@@ -15,6 +15,7 @@ from embodichain.cli import main
 from tests.helpers.browser import chromium, needs_chromium
 from tests.helpers.run_folders import make_run, progress, summary_of
 
+pytestmark = pytest.mark.slow
 HOSTILE = "<img src=x onerror=\"document.title='taken'\"></script><script>document.title='taken'"
 """A name that would do something, were it HTML."""
 
