@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,7 +78,7 @@ def runs_in(folder: Path) -> Iterator[Path]:
             names[:] = sorted(name for name in names if not name.startswith("."))
 
 
-def page_of_runs(folder: Path, out: Path) -> str:
+def page_of_runs(folder: Path, out: Path, say: Callable[[str], None]) -> str:
     """Return the index of a folder of runs as HTML; the newest run is the first.
 
     Pictures that are drawn for it stay in the runs' folders, for the next time.
@@ -86,11 +86,12 @@ def page_of_runs(folder: Path, out: Path) -> str:
     Args:
         folder: The folder.
         out: Where the page will be; it links to the reports of runs from there.
+        say: Called with a line if pictures have to be drawn, a second each.
 
     Raises:
         ConfigError: There is no run.
     """
-    thumbnails = Thumbnails()
+    thumbnails = Thumbnails(say)
     rows = []
     data: list[dict[str, Any]] = []
     for run in runs_in(folder):

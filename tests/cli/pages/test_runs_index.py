@@ -255,9 +255,16 @@ def test_a_script_that_was_changed_does_not_run(runs: Path) -> None:
         assert len(shown(page)) == 4  # the table is whole without it
 
 
-def test_a_picture_of_the_log_is_drawn_once(tmp_path: Path) -> None:
+def test_a_picture_of_the_log_is_drawn_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = ["run", "task=cart_pole", "episodes=1", "num_envs=1", "task.max_episode_steps=8"]
     assert main([*run, "scene_png=false", f"output_dir={tmp_path}", "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["report", str(tmp_path)]) == 0
+    assert "they stay in their folders, as thumbnail.jpg" in capsys.readouterr().err
+    assert main(["report", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == ""
     text = index(tmp_path)
     (drawn,) = tmp_path.glob("*/*/thumbnail.jpg")
     assert text.count('<img src="data:image/jpeg;base64,') == 1
