@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -41,6 +41,21 @@ _HIDDEN_WORDS = ("-", "json=", "quiet=", "task=")
 
 
 @dataclass(frozen=True, slots=True)
+class Compared:
+    """What two runs are compared by.
+
+    Attributes:
+        config: Key path and value of each leaf of the config.
+        results: Names and values.
+        curves: Title -> ``x``, ``y`` and ``label`` of the x-axis.
+    """
+
+    config: Sequence[tuple[str, str]] = ()
+    results: Sequence[tuple[str, str]] = ()
+    curves: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class IndexRow:
     """A run in the table.
 
@@ -53,6 +68,7 @@ class IndexRow:
         problem: What is damaged.
         results: Name -> result of `headline`.
         thumbnail: Its picture, if there is one.
+        compared: What it is compared by.
     """
 
     record: RunRecord | None
@@ -61,8 +77,9 @@ class IndexRow:
     about: str = ""
     begun: str = ""
     problem: str = ""
-    results: Mapping[str, Result] | None = None
+    results: Mapping[str, Result] = field(default_factory=dict)
     thumbnail: Thumbnail | None = None
+    compared: Compared | None = None
 
 
 def runs_in(folder: Path) -> Iterator[Path]:
@@ -93,33 +110,24 @@ def page_of_runs(folder: Path, out: Path, say: Callable[[str], None]) -> str:
     """
     thumbnails = Thumbnails(say)
     rows = []
-    data: list[dict[str, Any]] = []
     for run in runs_in(folder):
         try:
             with named_damage(run):
-                record = read_record(run)
-                compared = _compared_data(record)
-                row = _row(record, folder, out, thumbnails)
+                rows.append(_row(read_record(run), folder, out, thumbnails))
         except ConfigError as error:
-            compared = {}
-            row = _damaged_row(run, folder, out, error)
-        rows.append(row)
-        data.append(compared)
+            rows.append(_damaged_row(run, folder, out, error))
     if not rows:
         raise ConfigError(f"{folder} has no run: there is no {CONFIG} of one in it or below")
-    order = sorted(range(len(rows)), key=lambda i: rows[i].begun, reverse=True)
-    ordered = [rows[i] for i in order]
-    kinds = dict.fromkeys(row.record.kind for row in ordered if row.record is not None)
+    rows.sort(key=lambda row: row.begun, reverse=True)
     is_sweep = (folder / SWEEP).is_file()
     context = {
         "title": f"{'sweep' if is_sweep else 'runs'} {folder.name}",
         "heading": "Sweep" if is_sweep else "Runs",
         "folder": display_path(folder),
-        "rows": ordered,
-        "columns": _columns(ordered),
-        "kinds": list(kinds),
+        "rows": rows,
+        "columns": _columns(rows),
         "notes": thumbnails.notes,
-        "data": _json_element({"lines": _intern(data), "runs": [data[i] for i in order]}),
+        "data": _json_element(_data_of(rows)),
     }
     return render_page("runs_index.html.tmpl", context, script="runs_index.js")
 
@@ -128,7 +136,7 @@ def _columns(rows: Sequence[IndexRow]) -> list[str]:
     """The results that any run has, in the order of the headline."""
     names: dict[str, None] = {}
     for row in rows:
-        names |= dict.fromkeys(row.results or ())
+        names |= dict.fromkeys(row.results)
     return [name for name in ("success", "return", "length") if name in names]
 
 
@@ -147,13 +155,12 @@ def _row(record: RunRecord, folder: Path, out: Path, thumbnails: Thumbnails) -> 
         begun=f"{record.begun:%Y-%m-%d %H:%M:%S}",
         results=results,
         thumbnail=thumbnails.of(record),
+        compared=_compared(record),
     )
 
 
 def _damaged_row(run: Path, folder: Path, out: Path, error: ConfigError) -> IndexRow:
-    return IndexRow(
-        record=None, name=_name(run, folder), link=_link(run, out), problem=str(error), results={}
-    )
+    return IndexRow(record=None, name=_name(run, folder), link=_link(run, out), problem=str(error))
 
 
 def _name(run: Path, folder: Path) -> str:
@@ -173,19 +180,14 @@ def _link(run: Path, out: Path) -> str:
 # -- the data of the comparison --------------------------------------------------------------------
 
 
-def _compared_data(record: RunRecord) -> dict[str, Any]:
-    """What two runs are compared by: lines of the config, results, curves."""
+def _compared(record: RunRecord) -> Compared:
     evaluation = record.evaluation or record.summary.get("eval") or {}
     rows = [("kind", record.kind), ("status", record.status)]
     rows += [(result.name, _in_words(result)) for result in headline(record)]
     for name in ("metrics", "rewards"):
         values = evaluation.get(name) or record.summary.get(name) or {}
         rows += fact_rows((f"{name[:-1]} {term}", value) for term, value in values.items())
-    return {
-        "config": sorted(_flat(record.config)),
-        "results": rows,
-        "curves": _curves(record),
-    }
+    return Compared(config=sorted(_flat(record.config)), results=rows, curves=_curves(record))
 
 
 def _in_words(result: Result) -> str:
@@ -202,15 +204,19 @@ def _flat(tree: Any, path: str = "") -> Iterator[tuple[str, str]]:
         yield path, tree if isinstance(tree, str) else json.dumps(tree, default=str)
 
 
-def _intern(data: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
-    """Replace the lines of configs by their numbers in a list of all, which is returned.
+def _data_of(rows: Sequence[IndexRow]) -> dict[str, Any]:
+    """What the script compares.
 
-    Configs are long and mostly alike: the page has each line once.
+    Configs are long and mostly alike: each of their lines is in the data once, and runs have its
+    number.
     """
     numbers: dict[tuple[str, str], int] = {}
-    for run in data:
-        run["config"] = [numbers.setdefault(line, len(numbers)) for line in run.get("config", ())]
-    return list(numbers)
+    runs = []
+    for row in rows:
+        compared = row.compared or Compared()
+        config = [numbers.setdefault(line, len(numbers)) for line in compared.config]
+        runs.append({"config": config, "results": compared.results, "curves": compared.curves})
+    return {"lines": list(numbers), "runs": runs}
 
 
 def _curves(record: RunRecord) -> dict[str, dict[str, Any]]:
