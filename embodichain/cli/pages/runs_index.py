@@ -24,7 +24,7 @@ from embodichain.cli.pages.run_record import EVALUATION, RunRecord, named_damage
 from embodichain.cli.pages.thumbnails import Thumbnail, Thumbnails
 from embodichain.cli.terminal.output import to_json
 from embodichain.config.composition.locate import display_path
-from embodichain.config.run_folder import CONFIG, SUMMARY, SWEEP
+from embodichain.config.run_folder import CONFIG, SUMMARY, SWEEP, whole_run
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["page_of_runs", "runs_in"]
@@ -63,6 +63,7 @@ class IndexRow:
         record: The run; None if its files are damaged.
         name: Its folder below that of the index.
         link: Address of its report; empty if it has none.
+        sweep_link: Address of the page of the sweep that it is a job of; empty if there is none.
         about: What was typed, without the task.
         begun: When it began; empty if damaged.
         problem: What is damaged.
@@ -74,6 +75,7 @@ class IndexRow:
     record: RunRecord | None
     name: str
     link: str
+    sweep_link: str = ""
     about: str = ""
     begun: str = ""
     problem: str = ""
@@ -151,6 +153,7 @@ def _row(record: RunRecord, folder: Path, out: Path, thumbnails: Thumbnails) -> 
         record=record,
         name=_name(record.folder, folder),
         link=_link(record.folder, out),
+        sweep_link=_sweep_link(record.folder, folder, out),
         about=" ".join(words),
         begun=f"{record.begun:%Y-%m-%d %H:%M:%S}",
         results=results,
@@ -167,8 +170,14 @@ def _name(run: Path, folder: Path) -> str:
     return str(run.relative_to(folder)) if run != folder else run.name
 
 
+def _sweep_link(run: Path, folder: Path, out: Path) -> str:
+    """The address of the page of a job's sweep; empty if this page is that of the sweep."""
+    sweep = whole_run(run)
+    return "" if sweep in (run, folder) else _link(sweep, out)
+
+
 def _link(run: Path, out: Path) -> str:
-    """The address of a run's report, relative to the page; empty if it has none."""
+    """The address of the report of a run or a sweep, relative to the page; empty without one."""
     report = run / _REPORT
     if not report.is_file():
         return ""

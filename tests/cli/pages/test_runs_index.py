@@ -52,7 +52,7 @@ def index(root: Path) -> str:
 
 def names(text: str) -> list[str]:
     """The folders of the rows, in order."""
-    return [html.unescape(name) for name in re.findall(r'small folder">(.*?)</div>', text)]
+    return [html.unescape(name) for name in re.findall(r'class="folder">(.*?)</span>', text)]
 
 
 @contextmanager
@@ -93,8 +93,12 @@ def test_all_runs_are_in_it_the_newest_first(runs: Path) -> None:
 def test_links_lead_to_reports(runs: Path, tmp_path: Path) -> None:
     odd = make_run(runs, "2026-01-05/javascript:alert(1) #?%41", task="push")
     (odd / "report.html").write_text("here")
+    make_run(runs, "sweeps/one/0")
+    for name in ("multirun.yaml", "report.html"):
+        (runs / "sweeps/one" / name).touch()
     text = index(runs)
-    (link,) = re.findall(r'<a href="([^"]+)">', text)
+    link, sweep = sorted(re.findall(r'<a href="([^"]+)">', text))
+    assert sweep == "./sweeps/one/report.html"
     assert link == "./2026-01-05/javascript%3Aalert%281%29%20%23%3F%2541/report.html"
     assert main(["report", str(runs), "-q", "-o", str(tmp_path / "other/page.html")]) == 0
     elsewhere = (tmp_path / "other/page.html").read_text()
