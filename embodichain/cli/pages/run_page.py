@@ -16,6 +16,7 @@ from markupsafe import Markup
 from embodichain.cli.pages.curves import log_charts, training_charts
 from embodichain.cli.pages.episodes import PlayedEpisode, counted_episodes, read_episodes
 from embodichain.cli.pages.figures import ValueGroup, bar, distribution
+from embodichain.cli.pages.galleries import Gallery, draw_episode, draw_failures
 from embodichain.cli.pages.headline import headline
 from embodichain.cli.pages.page import data_url, render_page
 from embodichain.cli.pages.run_record import (
@@ -25,7 +26,6 @@ from embodichain.cli.pages.run_record import (
     read_record,
     read_text,
 )
-from embodichain.cli.pages.stills import Still, draw_ends, draw_strip
 from embodichain.cli.results.summaries import result_rows
 from embodichain.cli.terminal.output import number
 from embodichain.config.composition.locate import display_path
@@ -36,12 +36,10 @@ from embodichain.utils.errors import EmbodichainError
 if TYPE_CHECKING:
     from embodichain.recording.read.summary import LogSummary
 
-__all__ = ["fact_rows", "page_of_run", "strip_of"]
+__all__ = ["fact_rows", "page_of_run"]
 
 _MOST_EPISODES = 1000
 """Rows of the folded table."""
-_MOST_STILLS = 8
-"""Pictures of failed episodes."""
 _MOST_MESSAGES = 300
 _LARGEST_FILM = 64 * 2**20
 """Bytes of films in the page; a third is added by their encoding."""
@@ -49,7 +47,7 @@ _FILMS = {".mp4": "video/mp4", ".gif": "image/gif"}
 """Suffix -> type of a film."""
 _OUTCOMES = ((True, "success", "good"), (False, "no success", "bad"), (None, "", "plain"))
 """Success of an episode, its legend, and its colour."""
-_PICTURE_SIZE = (1280, 960)
+_NOTHING: tuple[Any, ...] = (None, "", "-", [], (), {})
 Rows = list[tuple[str, str]]
 
 
@@ -73,9 +71,8 @@ def _context(record: RunRecord) -> dict[str, Any]:
     log = _log(record, notes)
     episodes = read_episodes(record, log)
     films = _films(folder, notes)
-    pictures_notes: list[str] = []
-    strip, strip_caption = ([], "") if films else strip_of(record, episodes, pictures_notes)
-    stills, stills_caption = _failed_stills(episodes, pictures_notes)
+    strip = Gallery() if films else draw_episode(record, episodes)
+    failures = draw_failures(episodes)
     return {
         "title": f"{record.task}: {record.kind}",
         "record": record,
@@ -83,15 +80,13 @@ def _context(record: RunRecord) -> dict[str, Any]:
         "begun": f"{record.begun:%Y-%m-%d %H:%M}",
         "description": _description(record.config),
         "notes": notes,
-        "picture_notes": list(dict.fromkeys(pictures_notes)),
+        "picture_notes": [note for note in (strip.note, failures.note) if note],
         "results": headline(record, episodes),
         "films": films,
         "strip": strip,
-        "strip_caption": strip_caption,
         "charts": _charts(record, log, notes),
         "distributions": _distributions(counted_episodes(episodes)),
-        "stills": stills,
-        "stills_caption": stills_caption,
+        "failures": failures,
         "episodes": _episode_rows(episodes[:_MOST_EPISODES]),
         "num_episodes": len(episodes),
         "rewards": _rewards(record.outcome),
@@ -141,7 +136,7 @@ def _log(record: RunRecord, notes: list[str]) -> LogSummary | None:
 
 def fact_rows(rows: Iterable[tuple[str, Any]]) -> Rows:
     """Return names and texts of the values that say something: neither None nor empty."""
-    return [(name, number(value)) for name, value in rows if value not in (None, "", [], (), {})]
+    return [(name, number(value)) for name, value in rows if value not in _NOTHING]
 
 
 # -- pictures --------------------------------------------------------------------------------------
@@ -161,101 +156,6 @@ def _films(folder: Path, notes: list[str]) -> list[tuple[str, str]]:
         else:
             films.append((path.name, data_url(path.read_bytes(), _FILMS[path.suffix])))
     return films
-
-
-def strip_of(
-    record: RunRecord, episodes: Sequence[PlayedEpisode], notes: list[str]
-) -> tuple[list[Still], str]:
-    """Draw an episode of a run.
-
-    Without a log it is the picture of the start, if that was drawn.
-
-    Args:
-        record: The run.
-        episodes: Its episodes; the first success among them is drawn.
-        notes: Why there are no pictures is added to these.
-
-    Returns:
-        Pictures, and what they show.
-    """
-    episode = _shown_episode(record, episodes, notes)
-    if episode is not None:
-        try:
-            stills = draw_strip(episode)
-        except EmbodichainError as error:
-            notes.append(f"no pictures of the log: {error}")
-        else:
-            if stills:
-                return stills, _strip_caption(episode)
-    start = record.folder / "scene.png"
-    if start.is_file():
-        source = data_url(start.read_bytes(), "image/png")
-        width, height = _PICTURE_SIZE
-        return [Still(source, "the scene at the start", width=width, height=height)], ""
-    if record.log is None:
-        notes.append("no pictures: the run has no log, film or picture of its start")
-    return [], ""
-
-
-def _strip_caption(episode: PlayedEpisode) -> str:
-    ends = ["success"] if episode.success else []
-    if episode.end and episode.end != "success":
-        ends.append(episode.end)
-    end = f": {', '.join(ends)}" if ends else ""
-    return f"{episode.label}, {episode.length} control steps{end}"
-
-
-def _shown_episode(
-    record: RunRecord, episodes: Sequence[PlayedEpisode], notes: list[str]
-) -> PlayedEpisode | None:
-    """A success if there is one, else the first episode; of a log without ends what it has."""
-    of_log = [episode for episode in counted_episodes(episodes) if episode.log is not None]
-    successes = [episode for episode in of_log if episode.success]
-    if successes or of_log:
-        return (successes or of_log)[0]
-    if record.log is None:
-        return None
-    from embodichain import recording
-
-    try:
-        with recording.open(record.log) as log:
-            unfinished = log.episodes[0] if log.episodes else None
-    except EmbodichainError as error:
-        notes.append(f"no pictures of the log: {error}")
-        return None
-    if unfinished is None:
-        notes.append("no pictures of the log: it has no step that could be drawn")
-        return None
-    return PlayedEpisode(
-        env=unfinished.env,
-        episode=unfinished.episode,
-        length=unfinished.steps,
-        total_reward=unfinished.total_reward,
-        success=None,
-        end="" if unfinished.terminated or unfinished.truncated else "did not end",
-        log=record.log,
-        first_step=unfinished.first_step,
-    )
-
-
-def _failed_stills(episodes: Sequence[PlayedEpisode], notes: list[str]) -> tuple[list[Still], str]:
-    """The last moment of failed episodes, at least one of each kind, and how many there are."""
-    failed = [episode for episode in counted_episodes(episodes) if episode.has_failed]
-    of_log = [episode for episode in failed if episode.log is not None]
-    if not of_log:
-        return [], ""
-    first_of_kind = {episode.end: episode for episode in reversed(of_log)}.values()
-    others = [episode for episode in of_log if episode not in first_of_kind]
-    chosen = [*reversed(first_of_kind), *others][:_MOST_STILLS]
-    try:
-        stills = draw_ends(sorted(chosen, key=of_log.index))
-    except EmbodichainError as error:
-        notes.append(f"no pictures of failed episodes: {error}")
-        return [], ""
-    share = f"{len(failed):,} of {len(counted_episodes(episodes)):,} episodes failed"
-    if len(stills) < len(failed):
-        share += f"; {len(stills)} of them"
-    return stills, f"{share}, each at its last control step"
 
 
 # -- figures ---------------------------------------------------------------------------------------

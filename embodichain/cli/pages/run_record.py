@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 
@@ -22,10 +22,10 @@ from embodichain.utils.system.atomic import remove_abandoned
 __all__ = ["Kind", "RunRecord", "named_damage", "read_json", "read_record", "read_text"]
 
 EVALUATION = "eval.json"
-Kind = str
-"""``run``, ``training``, ``evaluation`` or ``collection``."""
+Kind = Literal["run", "training", "evaluation", "collection"]
+"""What a run was."""
 
-_KINDS = {
+_KINDS: dict[str, Kind] = {
     "augment": "collection",
     "collect": "collection",
     "eval": "evaluation",
@@ -42,7 +42,7 @@ class RunRecord:
 
     Attributes:
         folder: The run's folder.
-        kind: What it was.
+        kind: What kind of run it was.
         status: ``finished``, ``failed``, ``interrupted``, ...; ``unfinished`` without a result.
         task: Name of the task.
         begun: When it began.

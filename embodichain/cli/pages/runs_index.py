@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -24,7 +24,7 @@ from embodichain.cli.pages.run_record import EVALUATION, RunRecord, named_damage
 from embodichain.cli.pages.thumbnails import Thumbnail, Thumbnails
 from embodichain.cli.terminal.output import to_json
 from embodichain.config.composition.locate import display_path
-from embodichain.config.run_folder import CONFIG, SUMMARY, SWEEP
+from embodichain.config.run_folder import CONFIG, SUMMARY, SWEEP, whole_run
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["page_of_runs", "runs_in"]
@@ -41,6 +41,21 @@ _HIDDEN_WORDS = ("-", "json=", "quiet=", "task=")
 
 
 @dataclass(frozen=True, slots=True)
+class Compared:
+    """What two runs are compared by.
+
+    Attributes:
+        config: Key path and value of each leaf of the config.
+        results: Names and values.
+        curves: Title -> ``x``, ``y`` and ``label`` of the x-axis.
+    """
+
+    config: Sequence[tuple[str, str]] = ()
+    results: Sequence[tuple[str, str]] = ()
+    curves: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class IndexRow:
     """A run in the table.
 
@@ -48,21 +63,25 @@ class IndexRow:
         record: The run; None if its files are damaged.
         name: Its folder below that of the index.
         link: Address of its report; empty if it has none.
+        sweep_link: Address of the page of the sweep that it is a job of; empty if there is none.
         about: What was typed, without the task.
         begun: When it began; empty if damaged.
         problem: What is damaged.
         results: Name -> result of `headline`.
         thumbnail: Its picture, if there is one.
+        compared: What it is compared by.
     """
 
     record: RunRecord | None
     name: str
     link: str
+    sweep_link: str = ""
     about: str = ""
     begun: str = ""
     problem: str = ""
-    results: Mapping[str, Result] | None = None
+    results: Mapping[str, Result] = field(default_factory=dict)
     thumbnail: Thumbnail | None = None
+    compared: Compared | None = None
 
 
 def runs_in(folder: Path) -> Iterator[Path]:
@@ -78,7 +97,7 @@ def runs_in(folder: Path) -> Iterator[Path]:
             names[:] = sorted(name for name in names if not name.startswith("."))
 
 
-def page_of_runs(folder: Path, out: Path) -> str:
+def page_of_runs(folder: Path, out: Path, say: Callable[[str], None]) -> str:
     """Return the index of a folder of runs as HTML; the newest run is the first.
 
     Pictures that are drawn for it stay in the runs' folders, for the next time.
@@ -86,39 +105,31 @@ def page_of_runs(folder: Path, out: Path) -> str:
     Args:
         folder: The folder.
         out: Where the page will be; it links to the reports of runs from there.
+        say: Called with a line if pictures have to be drawn, a second each.
 
     Raises:
         ConfigError: There is no run.
     """
-    thumbnails = Thumbnails()
+    thumbnails = Thumbnails(say)
     rows = []
-    data: list[dict[str, Any]] = []
     for run in runs_in(folder):
         try:
             with named_damage(run):
-                record = read_record(run)
-                compared = _compared_data(record)
-                row = _row(record, folder, out, thumbnails)
+                rows.append(_row(read_record(run), folder, out, thumbnails))
         except ConfigError as error:
-            compared = {}
-            row = _damaged_row(run, folder, out, error)
-        rows.append(row)
-        data.append(compared)
+            rows.append(_damaged_row(run, folder, out, error))
     if not rows:
         raise ConfigError(f"{folder} has no run: there is no {CONFIG} of one in it or below")
-    order = sorted(range(len(rows)), key=lambda i: rows[i].begun, reverse=True)
-    ordered = [rows[i] for i in order]
-    kinds = dict.fromkeys(row.record.kind for row in ordered if row.record is not None)
+    rows.sort(key=lambda row: row.begun, reverse=True)
     is_sweep = (folder / SWEEP).is_file()
     context = {
         "title": f"{'sweep' if is_sweep else 'runs'} {folder.name}",
         "heading": "Sweep" if is_sweep else "Runs",
         "folder": display_path(folder),
-        "rows": ordered,
-        "columns": _columns(ordered),
-        "kinds": list(kinds),
+        "rows": rows,
+        "columns": _columns(rows),
         "notes": thumbnails.notes,
-        "data": _json_element({"lines": _intern(data), "runs": [data[i] for i in order]}),
+        "data": _json_element(_data_of(rows)),
     }
     return render_page("runs_index.html.tmpl", context, script="runs_index.js")
 
@@ -127,7 +138,7 @@ def _columns(rows: Sequence[IndexRow]) -> list[str]:
     """The results that any run has, in the order of the headline."""
     names: dict[str, None] = {}
     for row in rows:
-        names |= dict.fromkeys(row.results or ())
+        names |= dict.fromkeys(row.results)
     return [name for name in ("success", "return", "length") if name in names]
 
 
@@ -142,25 +153,31 @@ def _row(record: RunRecord, folder: Path, out: Path, thumbnails: Thumbnails) -> 
         record=record,
         name=_name(record.folder, folder),
         link=_link(record.folder, out),
+        sweep_link=_sweep_link(record.folder, folder, out),
         about=" ".join(words),
         begun=f"{record.begun:%Y-%m-%d %H:%M:%S}",
         results=results,
         thumbnail=thumbnails.of(record),
+        compared=_compared(record),
     )
 
 
 def _damaged_row(run: Path, folder: Path, out: Path, error: ConfigError) -> IndexRow:
-    return IndexRow(
-        record=None, name=_name(run, folder), link=_link(run, out), problem=str(error), results={}
-    )
+    return IndexRow(record=None, name=_name(run, folder), link=_link(run, out), problem=str(error))
 
 
 def _name(run: Path, folder: Path) -> str:
     return str(run.relative_to(folder)) if run != folder else run.name
 
 
+def _sweep_link(run: Path, folder: Path, out: Path) -> str:
+    """The address of the page of a job's sweep; empty if this page is that of the sweep."""
+    sweep = whole_run(run)
+    return "" if sweep in (run, folder) else _link(sweep, out)
+
+
 def _link(run: Path, out: Path) -> str:
-    """The address of a run's report, relative to the page; empty if it has none."""
+    """The address of the report of a run or a sweep, relative to the page; empty without one."""
     report = run / _REPORT
     if not report.is_file():
         return ""
@@ -172,19 +189,14 @@ def _link(run: Path, out: Path) -> str:
 # -- the data of the comparison --------------------------------------------------------------------
 
 
-def _compared_data(record: RunRecord) -> dict[str, Any]:
-    """What two runs are compared by: lines of the config, results, curves."""
+def _compared(record: RunRecord) -> Compared:
     evaluation = record.evaluation or record.summary.get("eval") or {}
     rows = [("kind", record.kind), ("status", record.status)]
     rows += [(result.name, _in_words(result)) for result in headline(record)]
     for name in ("metrics", "rewards"):
         values = evaluation.get(name) or record.summary.get(name) or {}
         rows += fact_rows((f"{name[:-1]} {term}", value) for term, value in values.items())
-    return {
-        "config": sorted(_flat(record.config)),
-        "results": rows,
-        "curves": _curves(record),
-    }
+    return Compared(config=sorted(_flat(record.config)), results=rows, curves=_curves(record))
 
 
 def _in_words(result: Result) -> str:
@@ -201,15 +213,19 @@ def _flat(tree: Any, path: str = "") -> Iterator[tuple[str, str]]:
         yield path, tree if isinstance(tree, str) else json.dumps(tree, default=str)
 
 
-def _intern(data: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
-    """Replace the lines of configs by their numbers in a list of all, which is returned.
+def _data_of(rows: Sequence[IndexRow]) -> dict[str, Any]:
+    """What the script compares.
 
-    Configs are long and mostly alike: the page has each line once.
+    Configs are long and mostly alike: each of their lines is in the data once, and runs have its
+    number.
     """
     numbers: dict[tuple[str, str], int] = {}
-    for run in data:
-        run["config"] = [numbers.setdefault(line, len(numbers)) for line in run.get("config", ())]
-    return list(numbers)
+    runs = []
+    for row in rows:
+        compared = row.compared or Compared()
+        config = [numbers.setdefault(line, len(numbers)) for line in compared.config]
+        runs.append({"config": config, "results": compared.results, "curves": compared.curves})
+    return {"lines": list(numbers), "runs": runs}
 
 
 def _curves(record: RunRecord) -> dict[str, dict[str, Any]]:

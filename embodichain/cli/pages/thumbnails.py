@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from embodichain.cli.pages.galleries import jpeg
 from embodichain.cli.pages.page import data_url
 from embodichain.cli.pages.run_record import RunRecord
-from embodichain.cli.pages.stills import jpeg
 from embodichain.utils.errors import EmbodichainError
 from embodichain.utils.system.atomic import atomic_file
 
@@ -32,9 +33,13 @@ class Thumbnails:
 
     A run has the picture of its start, or the first one of its film; otherwise its log is drawn,
     which takes a second, and the picture stays in its folder.
+
+    Args:
+        say: Called with a line before the first log is drawn.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say: Callable[[str], None] | None = say
         self._problems: dict[str, list[str]] = {}
 
     @property
@@ -58,6 +63,9 @@ class Thumbnails:
                     return Thumbnail(data_url(picture, "image/jpeg"))
         if record.log is None:
             return None
+        if self._say is not None:
+            self._say(f"drawing pictures of runs, once: they stay in their folders, as {_FILE}")
+            self._say = None
         try:
             picture = _draw(record.log)
         except EmbodichainError as error:

@@ -24,7 +24,6 @@ from embodichain.utils.system.atomic import write_text
 
 if TYPE_CHECKING:
     from embodichain.cli.pages.headline import Result
-    from embodichain.cli.pages.stills import Still
     from embodichain.learning.evaluation.comparison import Group
 
 __all__ = ["has_finished_training", "page_of_sweep", "report_sweep"]
@@ -161,8 +160,8 @@ def _largest_objectives(groups: Sequence[Group]) -> list[int]:
 def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
     from embodichain.cli.pages.curves import group_charts
     from embodichain.cli.pages.episodes import episodes_of
+    from embodichain.cli.pages.galleries import Gallery, draw_episode
     from embodichain.cli.pages.page import render_page
-    from embodichain.cli.pages.run_page import strip_of
     from embodichain.cli.pages.run_record import read_record
     from embodichain.learning.evaluation.comparison import best_group, short_labels
 
@@ -170,13 +169,11 @@ def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
     _, labels = short_labels(groups)
     drawn = _largest_objectives(groups)
     page_notes = list(notes)
-    picture_notes: list[str] = []
     best = best_group(groups)
-    strip: list[Still] = []
-    strip_caption = ""
+    strip = Gallery()
     if best is not None:
         record = read_record(best.runs[0].folder)
-        strip, strip_caption = strip_of(record, episodes_of(record), picture_notes)
+        strip = draw_episode(record, episodes_of(record))
     if len(groups) > len(drawn):
         page_notes.append(f"curves of the {len(drawn)} groups with the largest objective")
     try:
@@ -202,8 +199,6 @@ def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
         "notes": page_notes,
         "results": _results(groups, labels, best),
         "strip": strip,
-        "strip_caption": strip_caption,
-        "picture_notes": picture_notes,
         "hints": too_few_seeds(groups),
         "best": _best_point(folder, groups) if _search_result(folder) else [],
         "rows": [{name: number(cell) for name, cell in row.items()} for row in rows],

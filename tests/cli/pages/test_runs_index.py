@@ -10,59 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from embodichain.cli import main
 from tests.helpers.browser import chromium, needs_chromium
+from tests.helpers.run_folders import make_run, progress, summary_of
 
+pytestmark = pytest.mark.slow
 HOSTILE = "<img src=x onerror=\"document.title='taken'\"></script><script>document.title='taken'"
 """A name that would do something, were it HTML."""
-
-
-def make_run(root: Path, name: str, *, task: str = "reach", **files: Any) -> Path:
-    """Write the files of a run as `run`, `train` and `eval` do."""
-    folder = root / name
-    folder.mkdir(parents=True)
-    config = {"seed": 1, "num_envs": 4, "output_dir": "outputs", "task": {"description": ""}}
-    config |= files.get("config", {})
-    (folder / "config.yaml").write_text(yaml.safe_dump(config))
-    (folder / "overrides.yaml").write_text(yaml.safe_dump([f"task={task}"]))
-    (folder / "command.txt").write_text(files.get("command", f"cd /\nembodichain run task={task}"))
-    for key in ("summary", "eval"):
-        if key in files:
-            (folder / f"{key}.json").write_text(json.dumps(files[key]))
-    if "progress" in files:
-        (folder / "progress.csv").write_text(files["progress"])
-    return folder
-
-
-def summary_of(task: str, success: float, mean: float) -> dict[str, Any]:
-    """The summary of a run of 20 episodes."""
-    spread = {"mean": mean, "std": 1.0, "min": mean - 2, "max": mean + 2}
-    return {
-        "task": task,
-        "status": "finished",
-        "signal": None,
-        "num_envs": 4,
-        "episodes": 20,
-        "episodes_wanted": 20,
-        "control_steps": 100,
-        "seconds": 1.0,
-        "fps": 400.0,
-        "return": spread,
-        "length": {"mean": 50.0, "std": 0.0, "min": 50.0, "max": 50.0},
-        "success_rate": success,
-        "metrics": {},
-        "rewards": {"near": mean},
-        "diverged": 0,
-    }
-
-
-def progress(*rows: tuple[int, float]) -> str:
-    """A `progress.csv` with return and success."""
-    lines = ["time/total_timesteps,rollout/ep_rew_mean,rollout/success_rate"]
-    lines += [f"{steps},{value},{value / 100}" for steps, value in rows]
-    return "\n".join(lines)
 
 
 @pytest.fixture
@@ -97,7 +52,7 @@ def index(root: Path) -> str:
 
 def names(text: str) -> list[str]:
     """The folders of the rows, in order."""
-    return [html.unescape(name) for name in re.findall(r'small folder">(.*?)</div>', text)]
+    return [html.unescape(name) for name in re.findall(r'class="folder">(.*?)</span>', text)]
 
 
 @contextmanager
@@ -138,8 +93,12 @@ def test_all_runs_are_in_it_the_newest_first(runs: Path) -> None:
 def test_links_lead_to_reports(runs: Path, tmp_path: Path) -> None:
     odd = make_run(runs, "2026-01-05/javascript:alert(1) #?%41", task="push")
     (odd / "report.html").write_text("here")
+    make_run(runs, "sweeps/one/0")
+    for name in ("multirun.yaml", "report.html"):
+        (runs / "sweeps/one" / name).touch()
     text = index(runs)
-    (link,) = re.findall(r'<a href="([^"]+)">', text)
+    link, sweep = sorted(re.findall(r'<a href="([^"]+)">', text))
+    assert sweep == "./sweeps/one/report.html"
     assert link == "./2026-01-05/javascript%3Aalert%281%29%20%23%3F%2541/report.html"
     assert main(["report", str(runs), "-q", "-o", str(tmp_path / "other/page.html")]) == 0
     elsewhere = (tmp_path / "other/page.html").read_text()
@@ -300,9 +259,16 @@ def test_a_script_that_was_changed_does_not_run(runs: Path) -> None:
         assert len(shown(page)) == 4  # the table is whole without it
 
 
-def test_a_picture_of_the_log_is_drawn_once(tmp_path: Path) -> None:
+def test_a_picture_of_the_log_is_drawn_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = ["run", "task=cart_pole", "episodes=1", "num_envs=1", "task.max_episode_steps=8"]
     assert main([*run, "scene_png=false", f"output_dir={tmp_path}", "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["report", str(tmp_path)]) == 0
+    assert "they stay in their folders, as thumbnail.jpg" in capsys.readouterr().err
+    assert main(["report", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == ""
     text = index(tmp_path)
     (drawn,) = tmp_path.glob("*/*/thumbnail.jpg")
     assert text.count('<img src="data:image/jpeg;base64,') == 1

@@ -14,6 +14,7 @@ from embodichain.recording.film.moments import Moment, draw_moments
 from embodichain.recording.read.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
 SIZE = (64, 48)
 
 

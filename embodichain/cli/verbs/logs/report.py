@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,7 +69,12 @@ def command(options: ReportOptions) -> None:
         out = folder / (_INDEX if kind == "index" else _PAGE)
     if is_new_file and os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")
-    text = _page(folder, kind, out)
+
+    def say(line: str) -> None:
+        if not options.quiet:
+            sys.stderr.write(f"{line}\n")
+
+    text = _page(folder, kind, out, say)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_text(out, text, new=is_new_file)
@@ -96,7 +102,7 @@ def _kind_of_page(folder: Path) -> str:
     return "index"
 
 
-def _page(folder: Path, kind: str, out: Path) -> str:
+def _page(folder: Path, kind: str, out: Path, say: Callable[[str], None]) -> str:
     if kind == "run":
         from embodichain.cli.pages.run_page import page_of_run
 
@@ -107,7 +113,7 @@ def _page(folder: Path, kind: str, out: Path) -> str:
         return page_of_sweep(folder)
     from embodichain.cli.pages.runs_index import page_of_runs
 
-    return page_of_runs(folder, out)
+    return page_of_runs(folder, out, say)
 
 
 def _find_folder(name: str) -> Path:
