@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -77,6 +78,12 @@ def test_a_study_from_its_file_to_its_tables(write_study, capsys) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     table = parquet.read_table(folder / "episodes.parquet").to_pylist()
     assert [row["return"] for row in table] == [float(row["return"]) for row in rows]
+
+    page = (folder / "report.html").read_text()
+    assert "<h1>mini" in page and "Content-Security-Policy" in page
+    films = set(re.findall(r'href="(films/[^"]+)"', page))
+    logs = set(re.findall(r'href="(jobs/[^"]+)"', page))
+    assert films and logs and all((folder / path).is_file() for path in films | logs)
 
     # The same once more: nothing runs, and the tables are the same.
     assert main(["study", "mini", ONE_BY_ONE]) == 0
