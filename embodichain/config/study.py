@@ -68,10 +68,10 @@ class StudyJob:
             ConfigError: Lists every mistake.
         """
         resolved = resolve(compose(self._training_lines(chosen), "train"), "train")
-        wandb = dict(resolved.tree["wandb"])
-        if wandb["group"] is None:  # runs of a study are found together
+        wandb = dict(resolved.tree.get("wandb") or {})
+        if wandb.get("group") is None:  # runs of a study are found together
             wandb["group"] = self.study.name
-        if wandb["name"] is None:
+        if wandb.get("name") is None:
             wandb["name"] = self.name
         return resolved.changed(wandb=wandb)
 
