@@ -67,7 +67,13 @@ class StudyJob:
         Raises:
             ConfigError: Lists every mistake.
         """
-        return resolve(compose(self._training_lines(chosen), "train"), "train")
+        resolved = resolve(compose(self._training_lines(chosen), "train"), "train")
+        wandb = dict(resolved.tree.get("wandb") or {})
+        if wandb.get("group") is None:  # runs of a study are found together
+            wandb["group"] = self.study.name
+        if wandb.get("name") is None:
+            wandb["name"] = self.name
+        return resolved.changed(wandb=wandb)
 
     def evaluation(self, variation: str, chosen: Sequence[str] = ()) -> Resolved:
         """Return the config of the evaluation under a variation, without the trained policy.

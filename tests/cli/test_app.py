@@ -14,8 +14,8 @@ from embodichain.cli.words import EVERYDAY_KEYS
 from embodichain.config.keys.schema import RootCfg
 
 KINDS = (
-    "{tasks|embodiments|objects|scenes|variations|robots|policies|terms|formats|viewers|learners"
-    "|steps|engines|renderers}"
+    "{tasks|embodiments|objects|scenes|variations|studies|suites|robots|policies|terms|formats"
+    "|viewers|learners|steps|engines|renderers}"
 )
 
 

@@ -58,7 +58,11 @@ def job_table(study: Study, place: StudyFolder) -> tuple[str, list[dict[str, Any
 def _stages_left(place: StudyFolder, job: StudyJob) -> Iterator[tuple[str, str]]:
     """Yield the name of each stage that has to run, and why."""
     trains_again = False
-    if job.trains:
+    if place.waits_for_search(job):
+        yield "search", "not done yet"
+        yield TRAINING, "after the search"
+        trains_again = True
+    elif job.trains:
         reason = training_stage(place, job).why_it_runs()
         if reason is not None:
             trains_again = True
@@ -81,7 +85,10 @@ def _seconds_of_others(study: Study, place: StudyFolder, job: StudyJob, stage: s
             continue
         if not read_stage(place.job(other) / stage).get("done"):
             continue
-        name, key = (SUMMARY, "train_seconds") if stage == TRAINING else (EVAL_FILE, "seconds")
+        if stage == TRAINING:
+            name, key = SUMMARY, "train_seconds"
+        else:
+            name, key = EVAL_FILE, "seconds"
         content = json.loads((place.job(other) / stage / name).read_text(encoding="utf-8"))
         durations.append(float(content.get(key) or 0.0))
     if not durations:

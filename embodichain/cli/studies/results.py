@@ -46,9 +46,10 @@ from embodichain.learning.evaluation.statistics import CONFIDENCE, SeedEstimate,
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text
 
-__all__ = ["StudyResults", "read_results", "write_results"]
+__all__ = ["RATES", "Factors", "StudyResults", "read_results", "write_results"]
 
-_RATES = ("success",)
+RATES = ("success",)
+"""Metrics that are shares of episodes."""
 
 
 @dataclass(frozen=True)
@@ -210,7 +211,8 @@ class StudyResults:
 def write_results(study: Study, place: StudyFolder) -> StudyResults:
     """Compute the results of what is done, and write them into the study's folder.
 
-    Writes ``episodes.csv`` (and ``.parquet``), ``summary.csv``, ``results.json``, ``results.md``.
+    Writes ``episodes.csv`` (and ``.parquet``), ``summary.csv``, ``results.json``, ``results.md``,
+    and a receipt.
 
     Args:
         study: The study.
@@ -287,7 +289,7 @@ def _arm_results(study: Study, episodes: EpisodeTable) -> Iterator[ArmResult]:
                 table = episodes.where(task=task, variation=variation, arm=arm)
                 for metric in study.cfg.compare.metrics:
                     means = _seed_means(table, metric)
-                    trials = [_count(table, seed) for seed in means] if metric in _RATES else None
+                    trials = [_count(table, seed) for seed in means] if metric in RATES else None
                     estimate = over_seeds(list(means.values()), trials)
                     if estimate is not None:
                         yield ArmResult(arm, task, variation, metric, len(table.rows), estimate)
@@ -325,7 +327,7 @@ def _pairs(study: Study, place: StudyFolder, episodes: EpisodeTable) -> Iterator
                     first, second = _paired_values(table, arm, study.baseline, metric)
                     if not first.size:
                         continue
-                    if metric in _RATES:
+                    if metric in RATES:
                         yield Pairs(*facts, result=compare_rates(first > 0, second > 0))
                     else:
                         yield Pairs(*facts, result=compare_values(first, second))
@@ -410,7 +412,7 @@ def _count(table: EpisodeTable, seed: int) -> int:
 
 
 def _value_text(metric: str, value: float) -> str:
-    return f"{value:.1%}" if metric in _RATES else f"{value:.4g}"
+    return f"{value:.1%}" if metric in RATES else f"{value:.4g}"
 
 
 def _interval_text(metric: str, interval: tuple[float, float] | None) -> str:
@@ -424,7 +426,7 @@ def _estimate_text(metric: str, estimate: SeedEstimate) -> str:
     text = _value_text(metric, estimate.mean)
     if estimate.mean_interval is not None:
         return text + _interval_text(metric, estimate.mean_interval)
-    if len(estimate.values) > 1:  # too few for an interval: the seeds themselves
+    if estimate.min < estimate.max:  # too few for an interval: the range of the seeds
         low, high = _value_text(metric, estimate.min), _value_text(metric, estimate.max)
         return f"{text} ({low} to {high})"
     return text

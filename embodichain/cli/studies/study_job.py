@@ -100,11 +100,21 @@ class StudyFolder:
         return self.path / "search" / f"{job.arm}-{job.task}"
 
     def chosen(self, job: StudyJob) -> list[str]:
-        """The overrides that the search of a job's arm has chosen; empty without a search."""
+        """The overrides that the search of a job's arm has chosen; empty without a search.
+
+        Raises:
+            ConfigError: The search has not ended.
+        """
         if job.arm_cfg.optimize is None:
             return []
-        path = self.search(job) / _CHOSEN
-        return [str(line) for line in yaml.safe_load(path.read_text(encoding="utf-8"))]
+        if self.waits_for_search(job):
+            raise ConfigError(f"the search of arm {job.arm} on {job.task} has not ended")
+        lines = yaml.safe_load((self.search(job) / _CHOSEN).read_text(encoding="utf-8"))
+        return [str(line) for line in lines]
+
+    def waits_for_search(self, job: StudyJob) -> bool:
+        """Whether a job's arm has a search that has not ended."""
+        return job.arm_cfg.optimize is not None and not (self.search(job) / _CHOSEN).is_file()
 
     def write_chosen(self, job: StudyJob, lines: list[str]) -> None:
         """Write the overrides that a search has chosen."""

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -77,6 +78,12 @@ def test_a_study_from_its_file_to_its_tables(write_study, capsys) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     table = parquet.read_table(folder / "episodes.parquet").to_pylist()
     assert [row["return"] for row in table] == [float(row["return"]) for row in rows]
+
+    page = (folder / "report.html").read_text()
+    assert "<h1>mini" in page and "Content-Security-Policy" in page
+    films = set(re.findall(r'href="(films/[^"]+)"', page))
+    logs = set(re.findall(r'href="(jobs/[^"]+)"', page))
+    assert films and logs and all((folder / path).is_file() for path in films | logs)
 
     # The same once more: nothing runs, and the tables are the same.
     assert main(["study", "mini", ONE_BY_ONE]) == 0
@@ -209,6 +216,17 @@ def test_an_unknown_study_is_answered_with_those_that_exist(write_study, capsys)
     assert "there is no study 'min'; there are: mini, " in said and "Did you mean 'mini'?" in said
 
 
+def test_trainings_of_a_study_share_a_group_in_weights_and_biases(write_study) -> None:
+    from embodichain.config.study import resolve_study
+
+    write_study("small", TRAINED)
+    (job,) = resolve_study("small").jobs()
+    wandb = job.training().tree["wandb"]
+    assert (wandb["group"], wandb["name"]) == ("small", "ppo-cart_pole-0")
+    (job,) = resolve_study("small", ["train=[wandb.group=mine,wandb.name=one]"]).jobs()
+    assert job.training().tree["wandb"]["group"] == "mine"
+
+
 def test_a_study_extends_another(write_study, capsys) -> None:
     write_study("mini", MINI)
     write_study("more", "defaults: [mini, _self_]\nseeds: [4]\narms: {random: null}\n")
@@ -224,6 +242,9 @@ def test_a_search_is_frozen_before_the_evaluations(write_study, capsys) -> None:
         "{algo.learning_rate: 'interval(1e-4,1e-2)'}}}}",
     )
     folder = write_study("search", text)
+    assert main(["study", "search", "--dry-run", "--json"]) == 0
+    (job,) = json.loads(capsys.readouterr().out)["jobs"]
+    assert job["left"] == "search, train, eval-clean"
     assert (
         main(
             [

@@ -51,6 +51,7 @@ def command(options: StudyOptions) -> int | None:
     from embodichain.cli.studies.dry_run import job_table
     from embodichain.cli.studies.results import write_results
     from embodichain.cli.studies.run_study import folder_of, run_jobs, run_searches
+    from embodichain.cli.studies.study_page import write_page
     from embodichain.config.study import check_jobs, resolve_study
 
     quiet = options.quiet or options.json
@@ -70,6 +71,7 @@ def command(options: StudyOptions) -> int | None:
     run_searches(study, place, hydra_lines)
     failed = run_jobs(study, place, hydra_lines, quiet=quiet)
     results = write_results(study, place)
+    page = write_page(study, place, results)
     if options.json:
         print_json(results.as_dict())
     elif not options.quiet:
@@ -77,7 +79,7 @@ def command(options: StudyOptions) -> int | None:
             print_table(title, rows)
         for note in results.notes:
             sys.stdout.write(f"{note}\n")
-        sys.stdout.write("".join(f"{path}\n" for path in results.files))
+        sys.stdout.write(f"{page}\n")
     for job in failed:
         failure = place.failure(job) or {}
         sys.stderr.write(f"{job.name}: {failure.get('stage')} failed: {failure.get('error')}\n")
