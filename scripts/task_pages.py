@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from PIL import Image
 
@@ -206,11 +207,14 @@ def film(task: str) -> None:
         obs, _ = env.reset()
         pictures = [_picture(env)]
         every = max(1, round(1 / RATE / env.step_dt))
-        steps = min(env.max_episode_steps - 1, round(MAX_SECONDS / env.step_dt)) if policy else 0
+        steps = round(MAX_SECONDS / env.step_dt) if policy else 0
+        has_several_episodes = 2 * env.max_episode_steps <= steps
         for step in range(1, steps + 1):
             obs, _, terminated, truncated, _ = env.step(act(obs, env))
             if bool(terminated[0]) or bool(truncated[0]):
-                break
+                if not has_several_episodes:
+                    break
+                act.reset(np.array([0]))
             if step % every == 0:
                 pictures.append(_picture(env))
         seconds = every * env.step_dt

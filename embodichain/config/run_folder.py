@@ -55,8 +55,8 @@ SWEEP = "multirun.yaml"
 """A file in the folder of a sweep, which contains those of its jobs."""
 LATEST = "latest"
 _USED = (
-    "{} contains a run already, and a folder is used for one run only. To repeat a command until it "
-    "is finished, make it a sweep of one job: -m hydra.sweep.dir=FOLDER"
+    "{} contains a run already, and a folder is used for one run only. To repeat a command until "
+    "it is finished, make it a sweep of one job: -m hydra.sweep.dir=FOLDER"
 )
 _MOST_SUFFIXES = 10_000
 _PACKAGES = (

@@ -164,7 +164,8 @@ def tool_of(
         entity = env.scene_entity({"uid": env.robot.uid, "control_parts": part_name})
     links = tool_links(entity)
     if len(links) != 1:
-        message = f"cannot tell which link is the tool, name it; candidates: {', '.join(links) or 'none'}"
+        candidates = ", ".join(links) or "none"
+        message = f"cannot tell which link is the tool, name it; candidates: {candidates}"
         raise ConfigError([Problem("end_effector_cfg", message)])
     return env.scene_entity({"uid": entity.uid, "link_names": links})
 

@@ -181,7 +181,8 @@ def _exports_observations(options: ExportOptions) -> bool:
     if options.observations or options.form in only_episodes:
         for flag, name in _PART_OPTIONS.items():
             if getattr(options, name) not in (None, ()):
-                raise ConfigError(f"--{flag} does not go with observations: whole episodes are written")
+                message = f"--{flag} does not go with observations: whole episodes are written"
+                raise ConfigError(message)
         return True
     for flag in ("group", "failures"):
         if getattr(options, flag):

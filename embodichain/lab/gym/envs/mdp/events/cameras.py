@@ -189,7 +189,8 @@ class RandomizeCameraIntrinsics(Term):
             "cy": cy_range,
         }
         if all(bounds is None for bounds in ranges.values()):
-            raise ConfigError([Problem("focal_x_range", "missing: give at least one range, else nothing changes")])
+            message = "missing: give at least one range, else nothing changes"
+            raise ConfigError([Problem("focal_x_range", message)])
         self._declared = [sensor.read_intrinsics(side) for side in range(len(sensor.eyes))]
         for column, name in ((_FX, "focal_x"), (_FY, "focal_y")):
             bounds = ranges[name]
