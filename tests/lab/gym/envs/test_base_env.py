@@ -98,6 +98,7 @@ def test_a_wrong_action_raises_before_anything_changes(make_env, action, error, 
         env.step(action)
     np.testing.assert_array_equal(env.sim.engine.rows, rows)
     assert env.control_step == step and env.elapsed_steps.tolist() == [1, 1, 1]
+    assert env.read_elapsed_steps().tolist() == [1, 1, 1]
 
 
 def test_huge_finite_actions_are_not_mistaken_for_nan(make_env):
