@@ -11,6 +11,8 @@ import yaml
 import embodichain
 from embodichain.cli import main
 from embodichain.config import list_options
+from embodichain.config.composition.composed import compose
+from embodichain.config.resolved import resolve
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.learning.checkpoints.physics_values import physics_values
 from tests.helpers.kitchen import KITCHEN
@@ -135,6 +137,23 @@ def test_the_look_of_a_task_changes_no_physics(task):
     first, *others = (physics_values(model) for model in models)
     assert all(values == first for values in others)
     assert len({model.tex_data.tobytes() for model in models}) == 3
+
+
+@pytest.mark.parametrize(
+    ("task", "goal"), [("reach_vision", [0.05, 0.9, 0.1, 1]), ("lift_vision", [0.1, 0.7, 0.3, 1])]
+)
+def test_what_policies_see_in_pictures_is_written_down(task, goal):
+    """The look that tasks share may change; the room of a policy that sees must not."""
+    resolved = resolve(compose([f"task={task}"]), "run")
+    scene = resolved.tree["task"]["scene"]
+    assert scene["ground"]["type"] == "wood" and scene["ground"]["tile"] == 1.2
+    assert scene["ground"].get("colors") is None
+    assert list(scene["sky"]["top"]) == [0.42, 0.5, 0.6]
+    assert list(scene["sky"]["horizon"]) == [0.88, 0.89, 0.9]
+    for light in ("ambient", "headlight", "sun", "lights"):
+        assert not scene.get(light)
+    material = resolved.tree["task"]["objects"]["goal"]["shape"]["visual_material"]
+    assert list(material["base_color"]) == goal
 
 
 @pytest.mark.parametrize("task", TASKS)

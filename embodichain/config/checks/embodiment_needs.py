@@ -270,7 +270,7 @@ def _declared_robots(task: EnvCfg) -> Iterator[tuple[str, Any]]:
 
 
 def _references(task: EnvCfg) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield key path and keys of every reference of a task: of terms and of sensors."""
+    """Yield key path and keys of every reference of a task: of terms, sensors, views, objects."""
     for section in SECTIONS:
         for name, term in getattr(task, section).items():
             yield from references_in(f"{section}.{name}.params", term.params)
@@ -279,9 +279,19 @@ def _references(task: EnvCfg) -> Iterator[tuple[str, Mapping[str, Any]]]:
             if isinstance(value, LinksCfg) and value.uid:
                 yield f"sensors.{name}.{key}", vars(value)
     for name, view in task.views.items():
-        uid, slash, frame = str(view.body or "").partition("/")
-        if uid:
-            yield f"views.{name}", {"uid": uid, **({"link": frame} if slash else {})}
+        if view.body:
+            yield f"views.{name}", _reference_to(view.body)
+        for uid in view.show or ():
+            yield f"views.{name}", {"uid": uid}
+    for uid, cfg in task.objects.items():
+        if cfg.reached is not None:
+            yield f"objects.{uid}.reached", _reference_to(cfg.reached.by)
+
+
+def _reference_to(frame: str) -> dict[str, str]:
+    """The keys of a reference to ``UID`` or ``UID/NAME``."""
+    uid, slash, name = frame.partition("/")
+    return {"uid": uid, "link": name} if slash else {"uid": uid}
 
 
 def _has(robots: Mapping[str, Mapping[str, Any]], need: _Need) -> bool:

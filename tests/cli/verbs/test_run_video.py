@@ -67,6 +67,22 @@ def test_a_plain_installation_makes_a_gif(tmp_path: Path, capsys, monkeypatch) -
     assert "or a.gif" in " ".join(capsys.readouterr().err.split())
 
 
+def test_a_film_shows_the_halo_of_a_goal(tmp_path: Path) -> None:
+    """It is in the log's model, which is drawn after the run."""
+    shares = []
+    for halo in ("null", "{radius: 0.3}"):
+        folder = tmp_path / str(len(shares))
+        task = ["task=reach", "policy=zero", "num_envs=1", "max_steps=1", "seed=1"]
+        film = ["video.format=gif", "video.size=[64,48]", f"task.objects.goal.halo={halo}"]
+        words = [*task, *film, "scene_png=false", f"output_dir={folder}", "--quiet"]
+        assert main(["run", *words]) == 0
+        with Image.open(folder / "latest" / "rollout.gif") as gif:
+            colors = np.asarray(gif.convert("RGB")).astype(int)
+        is_orange = colors[..., 0] - colors[..., 2] > 25
+        shares.append(is_orange.mean())
+    assert shares[0] < 0.01 and shares[1] > 0.05
+
+
 @pytest.mark.parametrize(
     ("lines", "expected"),
     [

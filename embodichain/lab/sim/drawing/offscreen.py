@@ -80,17 +80,18 @@ class OffscreenRenderer:
         state.derived("geom_xpos")
         if not self._marks:
             return self._draw_all(state, views, envs)
-        for_people = [view for view in views if view.marks]
-        plain = [view for view in views if not view.marks]
-        marked: list[Pictures] = []
-        unmarked: list[Pictures] = []
+        has_marks = [view.marks and "color" in view.outputs for view in views]
+        for_people = [view for view, marked in zip(views, has_marks, strict=True) if marked]
+        plain = [view for view, marked in zip(views, has_marks, strict=True) if not marked]
+        with_marks: list[Pictures] = []
+        without: list[Pictures] = []
         if for_people:
             state.derived("xpos")
-            marked = self._draw_all(MarkedState(state, self._marks), for_people, envs)
+            with_marks = self._draw_all(MarkedState(state, self._marks), for_people, envs)
         if plain:
-            unmarked = self._draw_all(state, plain, envs)
-        drawn = {True: iter(marked), False: iter(unmarked)}
-        return [next(drawn[view.marks]) for view in views]
+            without = self._draw_all(state, plain, envs)
+        drawn = {True: iter(with_marks), False: iter(without)}
+        return [next(drawn[marked]) for marked in has_marks]
 
     def _draw_all(
         self, state: DrawnState, views: Sequence[View], envs: NDArray[np.int64] | None
