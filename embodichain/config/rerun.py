@@ -131,7 +131,7 @@ def resolve_run(
     return dataclasses.replace(
         resolved,
         overrides=tuple(overrides),
-        notes=(*resolved.notes, *merged.notes),
+        notes=(*parsed.notes, *resolved.notes, *merged.notes),
         varied=frozenset(merged.origins),
     )
 
