@@ -213,22 +213,22 @@ class ChosenVariations:
     files: tuple[ConfigFile, ...]
 
 
-def compose_variations(lines: Sequence[str], loader: ConfigLoader) -> ChosenVariations:
+def compose_variations(lines: Sequence[str]) -> ChosenVariations:
     """Compose options of the group `variation` alone, for a task that was composed before.
 
     Args:
         lines: Their choices, as `parse` returns them for Hydra.
-        loader: Composes; a `config_loader`.
 
     Raises:
         ConfigError: Their files have mistakes.
     """
     if not lines:
         return ChosenVariations({}, ())
-    try:
-        config = loader.load_configuration("run", [*lines, WITHOUT_TASK], RunMode.RUN)
-    except COMPOSING as error:
-        raise ConfigError(explain(error, loader)) from error
+    with config_loader() as loader:
+        try:
+            config = loader.load_configuration("run", [*lines, WITHOUT_TASK], RunMode.RUN)
+        except COMPOSING as error:
+            raise ConfigError(explain(error, loader, lines)) from error
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
     files, _ = _files(loader.merged, folders, None)
     varying = [file for file in files if file.package.startswith(f"{_VARIATIONS}.")]
@@ -238,7 +238,7 @@ def compose_variations(lines: Sequence[str], loader: ConfigLoader) -> ChosenVari
     if problems:
         raise ConfigError(problems)
     entries = OmegaConf.select(config, _VARIATIONS)
-    plain = {} if entries is None else OmegaConf.to_container(entries, resolve=False)
+    plain: Any = {} if entries is None else OmegaConf.to_container(entries, resolve=False)
     return ChosenVariations(plain, tuple(varying))
 
 

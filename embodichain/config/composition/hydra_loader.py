@@ -352,20 +352,18 @@ def _chosen_twice(
     group: str, error: Exception, loader: ConfigLoader, choices: Sequence[str]
 ) -> list[Problem]:
     """The problems of a group of which two options are chosen, in files or by an override."""
-    option = "NAME"
     refused = re.search(r"'override [^':]+: ([^']+)'", str(error))
     if refused:
-        option = refused[1]
         names = [
             f"{key.partition('@')[0]}/{name}"
             for key, _, name in (line.lstrip("+").partition("=") for line in choices)
         ]
-        problems = chosen_twice(_folders(loader), group, option, names)
+        problems = chosen_twice(_folders(loader), group, refused[1], names)
         is_added = any(line.startswith(f"+{group}=") for line in choices)
         if problems and not is_added:
             return problems
     written = group.removesuffix("@task") if group.startswith("embodiment@") else group
-    message = f"an option is chosen already: write {written}={option}, without +"
+    message = f"an option is chosen already: write {written}=NAME, without +"
     return [Problem(written, message, source=COMMAND_LINE)]
 
 

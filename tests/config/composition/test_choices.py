@@ -22,7 +22,7 @@ def write(name: str, text: str) -> None:
 @pytest.mark.usefixtures("empty_cwd")
 def test_a_second_choice_is_told_where_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert said(capsys, "validate", "task=reach", "+embodiment=panda") == (
-        "error: command line: embodiment: an option is chosen already: write embodiment=panda, "
+        "error: command line: embodiment: an option is chosen already: write embodiment=NAME, "
         "without +"
     )
     write("task/mine", "defaults:\n  - reach\n  - /embodiment@_here_: panda\n  - _self_\n")

@@ -371,7 +371,9 @@ def test_goals_are_drawn_in_until_their_orientations_are_reached(embodiment, sha
     env.close()
     # In any orientation the Panda's tool comes further.
     if embodiment == "panda":
-        env = embodichain.make("reach_pose", 1, [*words, "~task.events.place_goal.params.turned_as"])
+        env = embodichain.make(
+            "reach_pose", 1, [*words, "~task.events.place_goal.params.turned_as"]
+        )
         env.reset()
         assert env.event_manager.terms["place_goal"].instance.fitted["reachable_by"] == 0.9
         env.close()
