@@ -178,8 +178,11 @@ def check_tree(
         further = [_as_written(p, types.tree) for p in further]
         # What lacks a part that was left out, such as a pattern without its grid, is not wrong.
         incomplete = {path.rpartition(".")[0] for path in missing}
-        wrong_paths = [*missing, *(problem.path for problem in types.problems)]
-        objects = {path.split(".")[2] for path in wrong_paths if path.startswith("task.objects.")}
+        # An object that lacks one of its own keys may be another one, such as a default cube.
+        wrong = [p.path.split(".") for p in types.problems]
+        objects = {
+            parts[2] for parts in wrong if parts[:2] == ["task", "objects"] and len(parts) == 4
+        }
         for problem in further:
             is_told = _below(problem.path, missing) or problem.path in incomplete
             if not is_told and not _is_about(problem, objects):
