@@ -73,9 +73,8 @@ def resolve_run(
         problems = [*parsed.problems, *_unfit(parsed)]
         if problems:
             raise ConfigError(problems)
-        chosen_variations = compose_variations(
-            [line for line in parsed.for_hydra if _group_of(line) == _VARIATION], loader
-        )
+        variation_lines = [line for line in parsed.for_hydra if _group_of(line) == _VARIATION]
+        chosen_variations = compose_variations(variation_lines)
         options = [line for line in parsed.for_hydra if _group_of(line) in _GROUPS]
         chosen = loader.load_configuration("run", [*options, "~task"], RunMode.RUN)
         for line in options:
@@ -131,7 +130,7 @@ def resolve_run(
     return dataclasses.replace(
         resolved,
         overrides=tuple(overrides),
-        notes=(*resolved.notes, *merged.notes),
+        notes=(*parsed.notes, *resolved.notes, *merged.notes),
         varied=frozenset(merged.origins),
     )
 

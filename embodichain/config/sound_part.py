@@ -156,7 +156,8 @@ class _SoundPart:
                     self._lost_names.update(keys[keys.index(name) + 1 :])
         elif section in named_maps() and len(keys) > 2:
             entries = self.tree["task"].get(section) or {}
-            if section == "sensors" or keys[2] not in entries:
+            is_key_of_object = section == "objects" and len(keys) == 4  # it may be another shape
+            if section == "sensors" or is_key_of_object or keys[2] not in entries:
                 self._lost_names.add(keys[2])
         return removed
 
@@ -164,6 +165,8 @@ class _SoundPart:
         """Whether a mistake certainly does not follow from parts that were left out."""
         keys = problem.path.split(".")
         if keys[0] != "task" or len(keys) < 3 or keys[1] not in {*named_maps(), *_JOINTED}:
+            return False
+        if keys[1] == "objects" and keys[2] in self._lost_names:
             return False
         if keys[1] in ("actions", "curriculum") and not self._are_joints_known:
             return False

@@ -114,7 +114,7 @@ def compose_for_hydra(
         try:
             return loader.load_configuration(config_name, relax(other_lines, loader), mode)
         except COMPOSING as error:
-            raise ConfigError(explain(error, loader)) from error
+            raise ConfigError(explain(error, loader, relax(other_lines, loader))) from error
 
 
 def plan_sweep(config_name: str, overrides: Sequence[str], first: Resolved) -> Plan:

@@ -23,7 +23,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from embodichain.cli.sweeps.hydra_folders import check_subfolders, folder_named, numbers_jobs
 from embodichain.cli.sweeps.sweep_jobs import JobStoppedError, enter, stop_mark
@@ -58,6 +58,7 @@ from embodichain.config.keys.schema import JobVerb
 from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt, check_unused, missing_folders, take_back
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = ["call_hydra", "launch_jobs", "points", "towards_scores"]
 
@@ -112,6 +113,7 @@ def call_hydra(
         composed = compose(overrides, verb)
         if composed.problems:
             raise ConfigError(composed.problems)
+        _check_package(verb, options, overrides)
     elif options.multirun:
         plan = _check_sweep(verb, check, overrides)
         overrides = plan.overrides
@@ -196,6 +198,25 @@ def launch_jobs(
     places, _ = search_path(plan.overrides)
     with searched(places), _process(f"embodichain {config_name}", arguments):
         run_sweep(plan, states, job, quiet=quiet)
+
+
+def _check_package(verb: JobVerb, options: JobOptions, overrides: Sequence[str]) -> None:
+    """Refuse a `--package` that the config does not have, which Hydra does without an error.
+
+    Raises:
+        ConfigError: There is no such key.
+    """
+    package = options.package
+    if options.cfg is None or package is None or package in ("_global_", ""):
+        return
+    config = compose_for_hydra(verb, overrides, RunMode.RUN)
+    parent, _, name = package.rpartition(".")
+    node: Any = OmegaConf.select(config, parent) if parent else config
+    if isinstance(node, DictConfig) and name in node:
+        return
+    names = [str(key) for key in node] if isinstance(node, DictConfig) else []
+    message = f"there is no {package!r} in the config; there are: {listing(names, name)}."
+    raise ConfigError([Problem("--package", message, did_you_mean(name, names).strip())])
 
 
 def _check_sweep(

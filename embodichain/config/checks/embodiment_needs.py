@@ -1,16 +1,17 @@
 """`check_embodiment`: what a task needs of its robots and the chosen embodiment does not have.
 
-A task names its robots' parts by the names that embodiments share. All that an embodiment lacks is
-one mistake, which names the embodiments that have it; what follows from it is not reported.
+A task names its robots' parts by the names that embodiments share, and joints by names or patterns.
+All that an embodiment lacks is one mistake, which names the embodiments that have it; what follows
+from it is not reported.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from embodichain.config.composition.composed import Composed, compose, list_options
 from embodichain.config.composition.defaults_lists import place_of_choice
@@ -25,6 +26,9 @@ from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS
 from embodichain.lab.sim.compiler.names import Known, pick
 from embodichain.lab.sim.configs.references import FRAME_KEYS, LinksCfg
 from embodichain.utils.errors import DataNotFoundError, OutsideError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.config.checks.validation import Check
 
 __all__ = ["check_embodiment", "follows_from_name"]
 
@@ -46,7 +50,7 @@ class _Need:
     Attributes:
         path: Key path in the task of what names it.
         uid: The robot.
-        kind: ``robot``, ``name`` (of a link), ``part`` or ``gripper``.
+        kind: ``robot``, ``name`` (of a link), ``part``, ``joint`` or ``gripper``.
         name: The name.
     """
 
@@ -57,7 +61,11 @@ class _Need:
 
 
 def check_embodiment(
-    composed: Composed, task: EnvCfg, known: Known, problems: Sequence[Problem]
+    composed: Composed,
+    task: EnvCfg,
+    known: Known,
+    problems: Sequence[Problem],
+    check: Callable[[Composed], Check],
 ) -> list[Problem]:
     """Return mistakes in which all that the embodiment lacks is one of them.
 
@@ -66,23 +74,32 @@ def check_embodiment(
         task: The task, of it.
         known: The entities of its scene.
         problems: The mistakes that were found, with paths from the root.
+        check: Checks a config with another embodiment.
     """
     problems = [problem for problem in problems if not follows_from_name(problem, problems)]
+    if not problems:
+        return []
+    if _is_taken_out(composed):
+        return _without_embodiment(composed, problems, check)
     name = composed.choices.get(_CHOICE)
-    if name is None or not problems:
+    if name is None:
         return list(problems)
     options = _options(composed)
     uids = {uid for robots in options.values() for uid in robots}
     # What no embodiment has is a mistake of its own, such as a misspelt name, and so is a name that
     # stands for nothing in the robot's file.
+    having_joints = _HavingJoints(composed, options, check)
     missing = [
         need
         for need in dict.fromkeys(_missing_needs(task, known, uids))
         if not _has(_robots(composed.tree), need)
-        and any(_has(robots, need) for robots in options.values())
+        and (having_joints.of(need) or any(_has(robots, need) for robots in options.values()))
     ]
     if not missing:
         return list(problems)
+    of_file = [problem for problem in composed.problems if problem.path == EMBODIMENT]
+    if of_file and not _robots(composed.tree):  # an empty file
+        return of_file
     paths = [f"task.{need.path}" for need in missing]
     paths += ["task.robot", "task.robots", "task.expert"]
     mistake = _misnamed_robot(composed, task, missing)
@@ -91,14 +108,90 @@ def check_embodiment(
     having = [
         option
         for option, robots in options.items()
-        if all(_has(robots, need) for need in missing) and _can_load(composed, option, robots)
+        if all(_has(robots, need) or option in having_joints.of(need) for need in missing)
+        and _can_load(composed, option, robots)
     ]
     hint = "No embodiment has all of it: embodichain list embodiments."
     if having:
         hint = f"Embodiments that have it: {', '.join(having)}."
     message = f"{name} lacks what the task needs: {_listed(missing)}."
     mistake = Problem(EMBODIMENT, message, hint, _place(composed, name))
-    return [mistake, *(problem for problem in problems if not _follows(problem, paths))]
+    others = [problem for problem in problems if not _follows(problem, paths)]
+    if others and having:
+        others = _shared(composed, others, check(_compose_with(composed, having[0])).problems)
+    return [mistake, *others]
+
+
+def _shared(
+    composed: Composed, problems: Iterable[Problem], others: Iterable[Problem]
+) -> list[Problem]:
+    """Return the mistakes in composing, and those that are there with another embodiment too."""
+    paths = {problem.path for problem in (*composed.problems, *others)}
+    return [problem for problem in problems if problem.path in paths]
+
+
+def _is_taken_out(composed: Composed) -> bool:
+    """Whether an override takes the embodiment out, and nothing else gives the task a robot."""
+    return any(_is_deletion(line) for line in composed.overrides) and not _robots(composed.tree)
+
+
+def _is_deletion(line: str) -> bool:
+    return line.startswith(f"~{EMBODIMENT}")
+
+
+def _without_embodiment(
+    composed: Composed, problems: Sequence[Problem], check: Callable[[Composed], Check]
+) -> list[Problem]:
+    """Return that a task has no robot without its embodiment, and what is wrong with it too."""
+    lines = [line for line in composed.overrides if not _is_deletion(line)]
+    typed = next(line for line in composed.overrides if _is_deletion(line))
+    message = "the task has no robot without it."
+    hint = f"Write {EMBODIMENT}=NAME in place of {typed}."
+    mistake = Problem(EMBODIMENT, message, hint, COMMAND_LINE)
+    with_embodiment = check(compose(lines, composed.config_name))
+    return [mistake, *_shared(composed, problems, with_embodiment.problems)]
+
+
+class _HavingJoints:
+    """The embodiments that have joints which a task names; their files are read when asked.
+
+    Args:
+        composed: The composed config.
+        options: Embodiment -> uid -> its robot.
+        check: Checks a config with another embodiment.
+    """
+
+    def __init__(
+        self,
+        composed: Composed,
+        options: Mapping[str, Mapping[str, Mapping[str, Any]]],
+        check: Callable[[Composed], Check],
+    ) -> None:
+        self._composed = composed
+        self._options = options
+        self._check = check
+        self._scenes: dict[str, Known] = {}
+
+    def of(self, need: _Need) -> list[str]:
+        """Return the embodiments that have a joint; none for another kind of need."""
+        if need.kind != "joint":
+            return []
+        reference = {"uid": need.uid, _JOINTS: need.name}
+        having = []
+        for option, robots in self._options.items():
+            if need.uid not in robots:
+                continue
+            _, mistakes = pick("", reference, self._scene(option))
+            if not mistakes:
+                having.append(option)
+        return having
+
+    def _scene(self, option: str) -> Known:
+        """The entities of the task's scene with another embodiment; none if it cannot be read."""
+        if option not in self._scenes:
+            scene = self._check(_compose_with(self._composed, option)).scene
+            self._scenes[option] = {} if scene is None else scene.known
+        return self._scenes[option]
 
 
 def _misnamed_robot(composed: Composed, task: EnvCfg, missing: Iterable[_Need]) -> Problem | None:
@@ -130,6 +223,9 @@ def _has_file(robot: Mapping[str, Any]) -> bool:
 def _can_load(composed: Composed, option: str, robots: Mapping[str, Mapping[str, Any]]) -> bool:
     """Whether an embodiment has no mistake as far as its files show, nothing compiled."""
     other = _compose_with(composed, option)
+    paths_here = {problem.path for problem in composed.problems}
+    if any(problem.path not in paths_here for problem in other.problems):
+        return False
     mistakes = [*other.problems, *check_types(other.tree).problems]
     if any(_follows(problem, ["task.robot", "task.robots"]) for problem in mistakes):
         return False
@@ -145,7 +241,14 @@ def _can_load(composed: Composed, option: str, robots: Mapping[str, Mapping[str,
     return True
 
 
-_WORDS = {"robot": "robots", "name": "names", "part": "control parts", "gripper": "grippers"}
+_JOINTS = "joint_names"
+_WORDS = {
+    "robot": "robots",
+    "name": "names",
+    "part": "control parts",
+    "joint": "joints",
+    "gripper": "grippers",
+}
 """Kind of a need -> what it is called in messages."""
 
 
@@ -252,7 +355,8 @@ def _missing_parts(
     path: str, uid: str, reference: Mapping[str, Any], known: Known
 ) -> Iterator[_Need]:
     """Yield the names of a reference that pick nothing of its robot."""
-    keys = [(key, "name") for key in (*FRAME_KEYS, "body_names")] + [("control_parts", "part")]
+    keys = [(key, "name") for key in (*FRAME_KEYS, "body_names")]
+    keys += [("control_parts", "part"), (_JOINTS, "joint")]
     for key, kind in keys:
         value = reference.get(key)
         names = [value] if isinstance(value, str) else list(value or [])
@@ -303,6 +407,8 @@ def _has(robots: Mapping[str, Mapping[str, Any]], need: _Need) -> bool:
         return True
     if need.kind == "gripper":
         return bool(robot.get("grippers"))
+    if need.kind == "joint":  # its config does not say
+        return False
     if need.kind == "part":
         return need.name in (robot.get("control_parts") or {})
     return need.name in (robot.get("names") or {})

@@ -96,6 +96,21 @@ def validate(composed: Composed, verb: JobVerb = "run") -> list[Problem]:
 
 def check_composed(composed: Composed, verb: JobVerb) -> Check:
     """Check a whole composed config, with the task's suggestions for a verb."""
+    check = _check_without_needs(composed, verb)
+    if check.types.root is None or check.scene is None or not check.problems:
+        return check
+    problems = check_embodiment(
+        composed,
+        check.types.root.task,
+        check.scene.known,
+        check.problems,
+        lambda other: _check_without_needs(other, verb),
+    )
+    return replace(check, problems=problems)
+
+
+def _check_without_needs(composed: Composed, verb: JobVerb) -> Check:
+    """Check a composed config, with every mistake that follows from a lack of its embodiment."""
     if not composed.usable:
         types = check_types({**composed.tree, "task": {}})
         problems = [*composed.problems, *_located(types.problems, composed.source)]
@@ -117,8 +132,6 @@ def check_composed(composed: Composed, verb: JobVerb) -> Check:
     causes = [p for p in _causes(check.problems) if p.path not in misread_numbers]
     problems = [*composed.problems, *_located(unknown, composed.source)]
     problems += [_advised(problem, locator) for problem in causes]
-    if check.types.root is not None and check.scene is not None:
-        problems = check_embodiment(composed, check.types.root.task, check.scene.known, problems)
     return replace(check, problems=problems)
 
 
@@ -165,11 +178,28 @@ def check_tree(
         further = [_as_written(p, types.tree) for p in further]
         # What lacks a part that was left out, such as a pattern without its grid, is not wrong.
         incomplete = {path.rpartition(".")[0] for path in missing}
+        # An object that lacks one of its own keys may be another one, such as a default cube.
+        wrong = [p.path.split(".") for p in types.problems]
+        objects = {
+            parts[2] for parts in wrong if parts[:2] == ["task", "objects"] and len(parts) == 4
+        }
         for problem in further:
-            if not _below(problem.path, missing) and problem.path not in incomplete:
+            is_told = _below(problem.path, missing) or problem.path in incomplete
+            if not is_told and not _is_about(problem, objects):
                 problems.append(problem)
     distinct = {p.path + p.message: p for p in problems}.values()
     return Check(_located(distinct, source), types, scene, tuple(_located(notes, source)))
+
+
+def _is_about(problem: Problem, objects: Iterable[str]) -> bool:
+    """Whether a mistake is one of an object, or of what is done with it, of the names given."""
+    parts = problem.path.split(".")
+    for name in objects:
+        is_of_object = parts[:3] == ["task", "objects", name]
+        is_of_relation = parts[-3:-1] == ["params", "objects"] and parts[-1] == name
+        if is_of_object or is_of_relation or repr(name) in problem.message:
+            return True
+    return False
 
 
 def _as_written(problem: Problem, tree: Mapping[str, Any]) -> Problem:

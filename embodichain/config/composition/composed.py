@@ -46,7 +46,7 @@ from embodichain.config.composition.variations import merge_variations
 from embodichain.config.keys.algorithms import DEFAULT_ALGORITHM
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import show_value
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
     from embodichain.config.composition.gym_config import GymConfig
@@ -152,7 +152,8 @@ def compose(
             unspecified = [f"You must specify '{group}'" for group in parsed.broken]
             if any(text in str(error) for text in unspecified):
                 return _without_task(loader, config_name, lines, parsed, [])
-            return _without_task(loader, config_name, lines, parsed, explain(error, loader))
+            mistakes = explain(error, loader, parsed.for_hydra)
+            return _without_task(loader, config_name, lines, parsed, mistakes)
     choices = dict(config.hydra.runtime.choices)
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
     try:
@@ -171,12 +172,17 @@ def compose(
     locator = Locator(files, parsed.values)
     for file in (*files, *of_hydra):
         problems += file.problems()
-    for file in files:
-        if file.package == "task" and not file.keys:
-            message = "the file is empty: a task has at least a key"
-            problems.append(Problem("task", message, source=display_path(file.path)))
+    empty = [file for file in files if file.package == "task" and not file.keys]
+    for file in empty:
+        group = file.path.parent.name
+        message = "the file is empty: a task has at least a key"
+        if group == _EMBODIMENT:
+            message = f"the file is empty: an {group} has at least a robot"
+        problems.append(Problem(group, message, source=display_path(file.path)))
+    problems += _tasks_of_embodiments(files)
     tree, unresolved = plain_values(config, locator)
-    problems += unresolved
+    # Hydra leaves out what other files have at the place of an empty one.
+    problems += [problem for problem in unresolved if not (empty and problem.path == "task")]
     tree, mistakes = remove_null_entries(tree, locator.gives)
     mistakes += keep_last_given(tree, locator.rank)
     merged = merge_variations(tree, locator.source)
@@ -190,7 +196,7 @@ def compose(
         choices=choices,
         locator=locator,
         problems=tuple(problems),
-        notes=(*(gym.notes if gym is not None else ()), *merged.notes),
+        notes=(*parsed.notes, *(gym.notes if gym is not None else ()), *merged.notes),
     )
 
 
@@ -207,22 +213,22 @@ class ChosenVariations:
     files: tuple[ConfigFile, ...]
 
 
-def compose_variations(lines: Sequence[str], loader: ConfigLoader) -> ChosenVariations:
+def compose_variations(lines: Sequence[str]) -> ChosenVariations:
     """Compose options of the group `variation` alone, for a task that was composed before.
 
     Args:
         lines: Their choices, as `parse` returns them for Hydra.
-        loader: Composes; a `config_loader`.
 
     Raises:
         ConfigError: Their files have mistakes.
     """
     if not lines:
         return ChosenVariations({}, ())
-    try:
-        config = loader.load_configuration("run", [*lines, WITHOUT_TASK], RunMode.RUN)
-    except COMPOSING as error:
-        raise ConfigError(explain(error, loader)) from error
+    with config_loader() as loader:
+        try:
+            config = loader.load_configuration("run", [*lines, WITHOUT_TASK], RunMode.RUN)
+        except COMPOSING as error:
+            raise ConfigError(explain(error, loader, lines)) from error
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
     files, _ = _files(loader.merged, folders, None)
     varying = [file for file in files if file.package.startswith(f"{_VARIATIONS}.")]
@@ -232,7 +238,7 @@ def compose_variations(lines: Sequence[str], loader: ConfigLoader) -> ChosenVari
     if problems:
         raise ConfigError(problems)
     entries = OmegaConf.select(config, _VARIATIONS)
-    plain = {} if entries is None else OmegaConf.to_container(entries, resolve=False)
+    plain: Any = {} if entries is None else OmegaConf.to_container(entries, resolve=False)
     return ChosenVariations(plain, tuple(varying))
 
 
@@ -352,6 +358,32 @@ def _misplaced_variations(
     return problems
 
 
+def _tasks_of_embodiments(files: Sequence[ConfigFile]) -> list[Problem]:
+    """Return a problem for each file of an embodiment that says what only a task says."""
+    problems: list[Problem] = []
+    for file in files:
+        if file.path.parent.name != _EMBODIMENT:
+            continue
+        package = f"{file.package}." if file.package else ""
+        keys = [
+            key
+            for key in _OF_TASKS
+            if (place := file.keys.get(f"{package}{key}")) is not None and place.kind != "null"
+        ]
+        if keys:
+            line = file.keys[f"{package}{keys[0]}"].line
+            message = f"it names no object and no task: write {listing(keys)} in a task"
+            source = f"{display_path(file.path)}:{line}"
+            problems.append(Problem(_EMBODIMENT, message, source=source))
+    return problems
+
+
+_EMBODIMENT = "embodiment"
+_OF_TASKS = (
+    *("objects", "articulations", "scene", "commands", "rewards", "terminations", "metrics"),
+    *("curriculum", "expert", "suggested", "max_episode_steps", "episode_length_s", "variations"),
+)
+"""Keys of a task that a file of the group `embodiment` has no use for."""
 _VARIATIONS = "task.variations"
 """The map of a task's variations."""
 _WHOLE_OPTIONS = {"sim": "default", "record": "mcap", "viewer": "none"}
@@ -469,12 +501,14 @@ class ParsedOverrides:
         values: Overrides that add, change or delete values.
         broken: Groups for which an unknown option was chosen (their overrides are left out).
         problems: The mistakes in the overrides that are left out.
+        notes: Choices that count for nothing, because a later one is of the same group.
     """
 
     for_hydra: tuple[str, ...]
     values: tuple[Override, ...]
     broken: frozenset[str]
     problems: tuple[Problem, ...]
+    notes: tuple[Problem, ...] = ()
 
 
 def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
@@ -489,6 +523,8 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
     values: list[Override] = []
     broken: set[str] = set()
     problems: list[Problem] = []
+    choices: dict[str, str] = {}  # group with its place -> the last choice, as typed
+    notes: list[Problem] = []
     for typed in lines:
         line = readable(typed)
         try:
@@ -517,6 +553,9 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
         elif options := loader.get_group_options(override.key_or_group):
             problem = _check_option(override, options)
             if problem is None:
+                key = placed_key(override)
+                notes += _replaced_choice(override, typed, choices.get(key))
+                choices[key] = typed
                 for_hydra.append(_placed(override, _quote_number(override, line, options)))
             else:
                 broken.add(override.key_or_group)
@@ -524,7 +563,21 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
         else:
             values.append(override)
             problems += _odd_keys(override.value(), override.key_or_group)
-    return ParsedOverrides(tuple(for_hydra), tuple(values), frozenset(broken), tuple(problems))
+    return ParsedOverrides(
+        for_hydra=tuple(for_hydra),
+        values=tuple(values),
+        broken=frozenset(broken),
+        problems=tuple(problems),
+        notes=tuple(notes),
+    )
+
+
+def _replaced_choice(override: Override, typed: str, earlier: str | None) -> list[Problem]:
+    """A note that an earlier choice counts for nothing; none if there is no other one."""
+    if earlier is None or earlier == typed or override.is_delete():
+        return []
+    message = f"{earlier} is not used, because {typed} comes later"
+    return [Problem(override.key_or_group, message, source=COMMAND_LINE)]
 
 
 def search_path(lines: Iterable[str]) -> tuple[list[str], list[Problem]]:

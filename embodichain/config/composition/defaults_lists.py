@@ -17,6 +17,7 @@ __all__ = [
     "explain_defaults",
     "explain_lists",
     "place_of_choice",
+    "place_of_entry",
     "place_of_override",
 ]
 
@@ -86,28 +87,74 @@ def explain_lists(folders: Sequence[Path]) -> list[Problem]:
     return list(problems.values())
 
 
-def chosen_twice(folders: Sequence[Path], group: str, option: str) -> list[Problem]:
-    """Return a problem for each file that chooses an option where another file has chosen one.
+def chosen_twice(
+    folders: Sequence[Path], group: str, option: str, names: Sequence[str]
+) -> list[Problem]:
+    """Return the problem that a composed file chooses an option where another one has chosen one.
 
     Args:
-        folders: Folders with groups, in the order in which they are searched; those of the first
-            folder with such a file are returned.
+        folders: Folders with groups, in the order in which they are searched.
         group: The group, with its package after ``@``.
         option: The option that Hydra refuses.
+        names: The files with which composing begins, as Hydra calls them: ``task/mine``.
+
+    Returns:
+        One problem, or none where no composed file has such an entry.
     """
-    name = f"{group.partition('@')[0]}/{option}"
-    for folder in folders:
-        problems = []
-        for path in sorted(folder.rglob("*.yaml")):
-            for entry in _entries(path, _name_of(path, folder)):
-                if entry.name == name and entry.key and not entry.key.startswith("over"):
-                    message = (
-                        f"another file has chosen an option: write `override {entry.key}: {option}`"
-                    )
-                    problems.append(Problem("defaults", message, source=entry.source))
-        if problems:
-            return problems
-    return []
+    bare_group = group.partition("@")[0]
+    choices = [
+        entry
+        for entry in _composed_entries(folders, names)
+        if entry.name.rpartition("/")[0] == bare_group
+        and entry.key
+        and not entry.key.startswith("override")
+    ]
+    # A file comes before those that it names: the first one is refused.
+    refused = next((entry for entry in choices if entry.name == f"{bare_group}/{option}"), None)
+    if refused is None:
+        return []
+    earlier = [entry.source for entry in choices if entry.source != refused.source]
+    place = earlier[-1] if earlier else "another file"
+    message = f"{place} chooses an option already: write `override {refused.key}: {option}`"
+    return [Problem("defaults", message, source=refused.source)]
+
+
+def _composed_entries(folders: Sequence[Path], names: Sequence[str]) -> list[_Entry]:
+    """The entries of files and of the files that they name; those of a file before the others'."""
+    entries: list[_Entry] = []
+    waiting = list(names)
+    visited: set[str] = set()
+    while waiting:
+        name = waiting.pop(0)
+        if name in visited:
+            continue
+        visited.add(name)
+        path = _path_of(folders, name)
+        if path is not None:
+            of_file = list(_entries(path, name))
+            entries += of_file
+            waiting += [entry.name for entry in of_file]
+    return entries
+
+
+def _path_of(folders: Sequence[Path], name: str) -> Path | None:
+    """The file that Hydra calls by a name, in the first folder that has it."""
+    return next((p for folder in folders if (p := folder / f"{name}.yaml").is_file()), None)
+
+
+def place_of_entry(folders: Sequence[Path], name: str, entry_name: str) -> str:
+    """Return where the `defaults:` of a file names another file, ``FILE:LINE``; empty if nowhere.
+
+    Args:
+        folders: Folders with groups, in the order in which they are searched.
+        name: The file, as Hydra calls it: ``embodiment/mine``.
+        entry_name: The file that it names, likewise.
+    """
+    path = _path_of(folders, name)
+    if path is None:
+        return ""
+    places = [entry.source for entry in _entries(path, name) if entry.name == entry_name]
+    return places[0] if places else display_path(path)
 
 
 def place_of_choice(files: Sequence[ConfigFile], group: str, option: str) -> str:
@@ -137,7 +184,7 @@ def place_of_override(folders: Sequence[Path], name: str, choice: str) -> str:
         name: The file, as Hydra calls it: ``experiment/mine``.
         choice: The group with its package from the root: ``object@task.objects.mug``.
     """
-    path = next((p for folder in folders if (p := folder / f"{name}.yaml").is_file()), None)
+    path = _path_of(folders, name)
     if path is None:
         return ""
     group, _, package = choice.partition("@")

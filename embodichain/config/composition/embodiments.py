@@ -10,7 +10,7 @@ from typing import Any
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from embodichain.config.composition.hydra_loader import COMPOSING, config_loader
+from embodichain.config.composition.hydra_loader import COMPOSING, config_loader, explain
 
 __all__ = ["EMBODIMENT", "Embodiment", "list_embodiments"]
 
@@ -59,7 +59,7 @@ def list_embodiments(config_dir: str | Path | None = None) -> list[Embodiment]:
                 config = loader.load_configuration(path, [], RunMode.RUN)
                 tree = OmegaConf.to_container(config.get(EMBODIMENT, {}), resolve=False)
             except COMPOSING as error:
-                fault = str(error).splitlines()[0]
+                fault = "; ".join(map(str, explain(error, loader)))
             robots = _robots_of(tree)
             embodiments.append(
                 Embodiment(

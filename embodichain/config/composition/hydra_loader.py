@@ -38,6 +38,7 @@ from embodichain.config.composition.defaults_lists import (
     chosen_twice,
     explain_defaults,
     explain_lists,
+    place_of_entry,
     place_of_override,
 )
 from embodichain.config.composition.environment import register_env_resolvers
@@ -281,12 +282,13 @@ def _folder_of(module: str) -> Path:
     return Path(str(resources.files(module)))
 
 
-def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
+def explain(error: Exception, loader: ConfigLoader, choices: Sequence[str] = ()) -> list[Problem]:
     """Describe an error of composing.
 
     Args:
         error: One of `COMPOSING`.
         loader: Provides groups, options and the search path.
+        choices: Overrides that chose options, as they were given to Hydra.
     """
     if isinstance(error, yaml.YAMLError):
         return [explain_yaml(error)]
@@ -317,7 +319,7 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
         return [_unplaced(unplaced, loader)]
     duplicate = re.search(r"Multiple values for (\S+)\.|(\S+) appears more than once", str(error))
     if duplicate:
-        return _chosen_twice(duplicate[1] or duplicate[2], error, loader)
+        return _chosen_twice(duplicate[1] or duplicate[2], error, loader, choices)
     cause = error.__cause__ or error
     if "Incompatible key type 'NoneType'" in str(cause):
         problems = _null_keys(loader)
@@ -346,15 +348,23 @@ def explain_yaml(error: yaml.YAMLError, path: Path | None = None) -> Problem:
     return Problem("", f"malformed YAML: {reason}", source=source)
 
 
-def _chosen_twice(group: str, error: Exception, loader: ConfigLoader) -> list[Problem]:
+def _chosen_twice(
+    group: str, error: Exception, loader: ConfigLoader, choices: Sequence[str]
+) -> list[Problem]:
     """The problems of a group of which two options are chosen, in files or by an override."""
     refused = re.search(r"'override [^':]+: ([^']+)'", str(error))
     if refused:
-        problems = chosen_twice(_folders(loader), group, refused[1])
-        if problems:
+        names = [
+            f"{key.partition('@')[0]}/{name}"
+            for key, _, name in (line.lstrip("+").partition("=") for line in choices)
+        ]
+        problems = chosen_twice(_folders(loader), group, refused[1], names)
+        is_added = any(line.startswith(f"+{group}=") for line in choices)
+        if problems and not is_added:
             return problems
-    message = f"an option is chosen already: write {group}=NAME, without +"
-    return [Problem(group, message, source=COMMAND_LINE)]
+    written = group.removesuffix("@task") if group.startswith("embodiment@") else group
+    message = f"an option is chosen already: write {written}=NAME, without +"
+    return [Problem(written, message, source=COMMAND_LINE)]
 
 
 def _unplaced(refusal: re.Match[str], loader: ConfigLoader) -> Problem:
@@ -397,15 +407,18 @@ def _no_such_config(error: MissingConfigException, loader: ConfigLoader) -> Prob
     group, _, option = name.rpartition("/")
     asking_file = re.search(r"In '([^']+)'", str(error))
     place = f" (in the defaults list of '{asking_file[1]}')" if asking_file else ""
+    source = COMMAND_LINE
+    if asking_file:
+        source = place_of_entry(_folders(loader), asking_file[1], name) or COMMAND_LINE
     if (group, option) in _PLUGINS:
         message = f"{option!r}{place} needs packages: pip install 'embodichain[sweep]'"
         return Problem(group, message, source=COMMAND_LINE)
     options = list(error.options or loader.get_group_options(group))
     if not options:
-        return Problem("", f"there is no config '{name}'{place}", source=COMMAND_LINE)
+        return Problem("", f"there is no config '{name}'{place}", source=source)
     listed = listing(options, option, _SHOWN_BY.get(group, ""))
     message = f"unknown option {option!r}{place}; {group} is one of: {listed}."
-    return Problem(group, message, did_you_mean(option, options).strip(), COMMAND_LINE)
+    return Problem(group, message, did_you_mean(option, options).strip(), source)
 
 
 def _folders(loader: ConfigLoader) -> list[Path]:

@@ -82,8 +82,10 @@ def what_is_wrong(
         message = str(error["msg"]).partition("error, ")[2] or str(error["msg"])
         return f"{message[:1].lower()}{message[1:]}, got {show_value(value)}", ""
     if kind in ("too_short", "too_long"):
-        message = str(error["msg"])
-        return f"{message[:1].lower()}{message[1:]}, got {show_value(value)}", ""
+        length = error["ctx"].get("min_length", error["ctx"].get("max_length"))
+        bound = "at least" if kind == "too_short" else "at most"
+        items = "item" if length == 1 else "items"
+        return f"expected {bound} {length} {items}, got {show_value(value)}", ""
     expected = [_expected(e, patterns or {}) for e in errors if e["type"] != "callable_type"]
     message = f"expected {' or '.join(dict.fromkeys(expected))}, got {show_value(value)}"
     if isinstance(value, str):

@@ -362,6 +362,23 @@ def test_goals_are_drawn_in_for_a_shorter_arm_only(task, embodiment, share):
     env.close()
 
 
+@pytest.mark.parametrize(("embodiment", "share"), [("ur10", None), ("panda", 0.45)])
+def test_goals_are_drawn_in_until_their_orientations_are_reached(embodiment, share):
+    words = ["seed=1", f"embodiment={embodiment}", "~task.expert"]
+    env = embodichain.make("reach_pose", 1, words)
+    env.reset()
+    assert env.event_manager.terms["place_goal"].instance.fitted["reachable_by"] == share
+    env.close()
+    # In any orientation the Panda's tool comes further.
+    if embodiment == "panda":
+        env = embodichain.make(
+            "reach_pose", 1, [*words, "~task.events.place_goal.params.turned_as"]
+        )
+        env.reset()
+        assert env.event_manager.terms["place_goal"].instance.fitted["reachable_by"] == 0.9
+        env.close()
+
+
 def test_a_goal_has_the_orientation_of_the_tool():
     for embodiment, quat in (
         ("ur10", [0, 0, 1, 0]),

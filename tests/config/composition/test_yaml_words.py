@@ -223,9 +223,11 @@ def test_a_name_in_a_defaults_list(write_task: WriteTask) -> None:
 
 def test_an_option_that_an_inherited_file_has_chosen(write_task: WriteTask) -> None:
     write_task(text="defaults: [reach, /scene@scene: lab, _self_]\n")
-    assert said() == [
-        f"{FILE}:1: defaults: another file has chosen an option: write `override /scene@scene: lab`"
-    ]
+    (mistake,) = said()
+    assert mistake.startswith(f"{FILE}:1: defaults: ")
+    assert mistake.endswith(
+        "conf/task/reach.yaml:3 chooses an option already: write `override /scene@scene: lab`"
+    )
     write_task(text="defaults: [reach, override /scene@scene: lab, _self_]\n")
     assert said() == []
     assert said("+experiment=quick_reach") == [

@@ -54,7 +54,13 @@ def initial_pose_of(env: TermContext, frame: BodyFrames) -> tuple[Floats, Floats
     return np.array(element.xpos), quat
 
 
-def fitted_share(env: TermContext, action: str, origin: Floats, offsets: Floats) -> float:
+def fitted_share(
+    env: TermContext,
+    action: str,
+    origin: Floats,
+    offsets: Floats,
+    orientations: Floats | None = None,
+) -> float:
     """The largest share of offsets at which a tool reaches 19 of 20 places, 1 at most.
 
     Args:
@@ -62,6 +68,7 @@ def fitted_share(env: TermContext, action: str, origin: Floats, offsets: Floats)
         action: The action term that moves the tool, within its bounds.
         origin: (3,) m, where the offsets begin.
         offsets: (n, 3) m.
+        orientations: (n, 4), wxyz, that the tool has at each place; None: any.
 
     Returns:
         The share; 1, with a warning, if there is no such action or it moves no tool.
@@ -103,6 +110,7 @@ def fitted_share(env: TermContext, action: str, origin: Floats, offsets: Floats)
             tool=int(solver.chain.tool.ids),
             joints=joints,
             places=places,
+            orientations=orientations,
             low=low,
             high=high,
             enough=_ENOUGH,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -37,6 +38,8 @@ _RESTARTS = 30
 _REACH_RESTARTS = 8
 _REACHED = 0.005
 """Metres: a place that a tool comes as near to is in its reach."""
+_REACHED_TURN = np.deg2rad(1.0)
+"""Likewise of an orientation, in rad."""
 _DAMPING = 1e-6
 _LONGEST_STEP = 0.3
 """rad or m of one joint in one iteration."""
@@ -151,12 +154,12 @@ def move_to_home(
         data.qpos[:] = start
         if share is not None:
             data.qpos[model.jnt_qposadr[arm.joints]] = low + (high - low) * share
-        reached, distance = _search(arm, pos, quat, low, high)
-        if reached:
+        found = _search(arm, pos, quat, low, high)
+        if found.is_exact:
             solution = qpos.copy()
             solution[arm.columns] = data.qpos[model.jnt_qposadr[arm.joints]]
             return solution, []
-        nearest = min(nearest, distance)
+        nearest = min(nearest, found.distance)
     message = (
         f"the tool cannot be there: the nearest pose that was found is {1000 * nearest:.0f} mm away"
     )
@@ -171,11 +174,12 @@ def can_reach(
     tool: int,
     joints: NDArray[np.int64],
     places: F64,
+    orientations: F64 | None,
     low: F64 | None,
     high: F64 | None,
     enough: float,
 ) -> bool:
-    """Whether a tool reaches a share of some places, in any orientation.
+    """Whether a tool reaches a share of some places.
 
     Args:
         model: A model of the robot, alone or in a scene.
@@ -184,6 +188,7 @@ def can_reach(
         tool: MuJoCo's id of it.
         joints: (k,) MuJoCo's ids of the joints that may move.
         places: (n, 3) m.
+        orientations: (n, 4), wxyz, of the tool at each place; None: any.
         low: (k,) lowest positions of the joints, where the limits are lower; None for the limits.
         high: (k,) highest.
         enough: The share, up to 1.
@@ -198,14 +203,16 @@ def can_reach(
     shares = RandomStreams(0, 1).uniform("reach", (_REACH_RESTARTS, len(joints)))[0]
     most_missing = int((1.0 - enough) * len(places))
     missing = 0
-    for place in places:
+    for i, place in enumerate(places):
+        quat = None if orientations is None else orientations[i]
         reached = False
         for share in [None, *shares]:
             data.qpos[:] = start
             if share is not None:
                 data.qpos[model.jnt_qposadr[joints]] = lowest + (highest - lowest) * share
-            reached, distance = _search(arm, place, None, lowest, highest)
-            reached = reached or distance < _REACHED
+            found = _search(arm, place, quat, lowest, highest)
+            is_near = found.distance < _REACHED and found.turned < _REACHED_TURN
+            reached = found.is_exact or is_near
             if reached:
                 break
         missing += not reached
@@ -285,8 +292,22 @@ def _error(arm: _Arm, pos: F64, quat: F64 | None) -> F64:
     return np.concatenate([pos - tool_pos, turn])
 
 
-def _search(arm: _Arm, pos: F64, quat: F64 | None, low: F64, high: F64) -> tuple[bool, float]:
-    """Move the arm's state to a pose; return whether it is reached, and how far it is away, m."""
+class _Found(NamedTuple):
+    """Where a search ended.
+
+    Attributes:
+        is_exact: Whether the pose is reached.
+        distance: How far the tool is from it, m.
+        turned: The angle between the orientations, rad; 0 where any will do.
+    """
+
+    is_exact: bool
+    distance: float
+    turned: float
+
+
+def _search(arm: _Arm, pos: F64, quat: F64 | None, low: F64, high: F64) -> _Found:
+    """Move the arm's state to a pose; return where it ended."""
     addresses = arm.model.jnt_qposadr[arm.joints]
     first = True
     for _ in range(_ITERATIONS):
@@ -296,10 +317,10 @@ def _search(arm: _Arm, pos: F64, quat: F64 | None, low: F64, high: F64) -> tuple
         distance = float(np.linalg.norm(error[:3]))
         turned = float(np.linalg.norm(error[3:]))
         if first and distance < _NEAR and turned < _TURNED:
-            return True, distance
+            return _Found(is_exact=True, distance=distance, turned=turned)
         first = False
         if distance < _EXACT and turned < _EXACT:
-            return True, distance
+            return _Found(is_exact=True, distance=distance, turned=turned)
         jacobian = arm.jacobian(arm.pose()[0])[: len(error)]
         system = jacobian @ jacobian.T + _DAMPING * np.eye(len(error))
         step = jacobian.T @ np.linalg.solve(system, error)
@@ -308,5 +329,5 @@ def _search(arm: _Arm, pos: F64, quat: F64 | None, low: F64, high: F64) -> tuple
         arm.data.qpos[addresses] = np.clip(before + step, low, high)
         if np.abs(arm.data.qpos[addresses] - before).max() < _EXACT:
             break
-    is_near = distance < 1e-6 and turned < 1e-6
-    return is_near, distance
+    is_exact = distance < 1e-6 and turned < 1e-6
+    return _Found(is_exact, distance, turned)

@@ -149,7 +149,7 @@ def test_an_inner_term_that_remembers_is_reset_and_restored(make) -> None:
 @pytest.mark.parametrize(
     ("params", "part"),
     [
-        ({"terms": {}}, "terms: dictionary should have at least 1 item"),
+        ({"terms": {}}, "terms: expected at least 1 item, got {}"),
         ({"terms": {"a": {"func": "heigt_above"}}}, "terms.a: .*'heigt_above'.*height_above"),
         (
             {"terms": {"a": {"func": "within_distance", "params": {**PAIR, "threshold": -1}}}},

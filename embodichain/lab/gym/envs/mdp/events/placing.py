@@ -29,6 +29,7 @@ from embodichain.utils.math import (
     quat_rotate,
     rpy_to_quat,
 )
+from embodichain.utils.random import RandomStreams
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
@@ -217,8 +218,8 @@ class RandomizePose(Term):
         turned_as: An entity, or a link, site or geom of one, whose orientation at the start of the
             run, to a thousandth, stands for the initial one.
         reachable_by: An action term that moves a tool. The position range is made smaller, as a
-            whole, until the tool reaches 19 of 20 places in it within the action's bounds. Needs
-            `relative_to`.
+            whole, until the tool reaches 19 of 20 places in it within the action's bounds; with
+            `turned_as` in the orientations that the entity has there. Needs `relative_to`.
         physics_update_step: Physics steps of these environments afterwards, so that the entity
             can settle; -1 or 0 is none.
 
@@ -268,9 +269,11 @@ class RandomizePose(Term):
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         self._relative_rotation = relative_rotation
         self.fitted: dict[str, Any] = {}
+        self._is_turned_as_tool = turned_as is not None
         if turned_as is not None:
             quat0 = _rounded(initial_pose_of(env, turned_as.frame)[1])
             self._quat0 = _rows_of(quat0, env)
+            self._first_quat = quat0
             is_changed = not np.allclose(quat0, asset.index.quat0, rtol=0.0, atol=1e-9)
             self.fitted["turned_as"] = quat0.tolist() if is_changed else None
         self._reachable_by = reachable_by
@@ -285,14 +288,29 @@ class RandomizePose(Term):
         if name is None or position is None or self._relative_to is None:
             return
         origin, _ = initial_pose_of(env, self._relative_to.frame)
-        corners = np.stack(np.meshgrid(*([[0.0, 0.5, 1.0]] * 3), indexing="ij"), axis=-1)
-        offsets = position.low + corners.reshape(-1, 3) * (position.high - position.low)
-        share = fitted_share(env, name, origin, offsets)
+        orientations: Floats | None = None
+        if self._is_turned_as_tool:  # as it is drawn
+            draws = RandomStreams(0, 1).uniform("reachable", (_DRAWS, 6))[0]
+            offsets = position.low + draws[:, :3] * (position.high - position.low)
+            orientations = self._orientations(draws[:, 3:])
+        else:
+            corners = np.stack(np.meshgrid(*([[0.0, 0.5, 1.0]] * 3), indexing="ij"), axis=-1)
+            offsets = position.low + corners.reshape(-1, 3) * (position.high - position.low)
+        share = fitted_share(env, name, origin, offsets, orientations)
         self.fitted["reachable_by"] = None if share == 1.0 else share
         if share < 1.0:
             _log.info("%s: places are drawn in to %g of the range", name, share)
             self._position = Uniform("position", share * position.low, share * position.high)
         self._reachable_by = None
+
+    def _orientations(self, shares: Floats) -> Floats:
+        """(n, 4) orientations for shares (n, 3), from 0 to 1, of the range of rotations."""
+        quat0 = np.broadcast_to(np.asarray(self._first_quat), (len(shares), 4))
+        rotation = self._rotation
+        if rotation is None:
+            return quat0
+        quat = euler_xyz_to_quat(rotation.low + shares * (rotation.high - rotation.low))
+        return quat_multiply(quat0, quat) if self._relative_rotation else quat
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the poses of these environments."""
@@ -333,6 +351,8 @@ class RandomizePose(Term):
         return bool((current_quat == quat).all())
 
 
+_DRAWS = 64
+"""Poses that a tool must reach, as many of them as of draws."""
 _RIGHT_ANGLE = 1.5707963267948966
 _SPIRAL = 32
 """Places on a sphere that must be reached."""
