@@ -84,16 +84,19 @@ def check_embodiment(
     name = composed.choices.get(_CHOICE)
     if name is None:
         return list(problems)
+    robots_here = _robots(composed.tree)
+    needs = dict.fromkeys(_missing_needs(task, known))
+    # A name that stands for nothing in the robot's file is a mistake of its own.
+    absent = [need for need in needs if not _has(robots_here, need)]
+    if not absent:  # else the task is composed with each embodiment, which takes seconds
+        return list(problems)
     options = _options(composed)
-    uids = {uid for robots in options.values() for uid in robots}
-    # What no embodiment has is a mistake of its own, such as a misspelt name, and so is a name that
-    # stands for nothing in the robot's file.
+    # What no embodiment has is a mistake of its own too, such as a misspelt name.
     having_joints = _HavingJoints(composed, options, check)
     missing = [
         need
-        for need in dict.fromkeys(_missing_needs(task, known, uids))
-        if not _has(_robots(composed.tree), need)
-        and (having_joints.of(need) or any(_has(robots, need) for robots in options.values()))
+        for need in absent
+        if having_joints.of(need) or any(_has(robots, need) for robots in options.values())
     ]
     if not missing:
         return list(problems)
@@ -325,11 +328,11 @@ def _compose_with(composed: Composed, option: str) -> Composed:
     return compose([*lines, f"{EMBODIMENT}={option}"], composed.config_name)
 
 
-def _missing_needs(task: EnvCfg, known: Known, uids: set[str]) -> Iterator[_Need]:
-    """Yield what the task names of robots, and what they do not have."""
+def _missing_needs(task: EnvCfg, known: Known) -> Iterator[_Need]:
+    """Yield what the task names of robots and other entities, and what these do not have."""
     for path, reference in _references(task):
         uid = str(reference.get("uid") or "")
-        if uid not in uids:
+        if not uid:
             continue
         if uid not in known:
             yield _Need(path, uid, "robot", uid)

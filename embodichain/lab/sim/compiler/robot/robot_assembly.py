@@ -23,6 +23,7 @@ from embodichain.lab.sim.compiler.robot.files.robot_files import (
     ModelFile,
     as_line,
     compile_quietly,
+    compile_unlimited,
     locate,
     read_model,
 )
@@ -135,7 +136,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         equality.name2 = joints[equality.name2]
     path = next(iter(files.values())).path
     notes = [note for file in files.values() for note in file.notes]
-    return ModelFile(path, True, spec, compile_quietly(spec), limits, notes=notes)
+    return ModelFile(path, True, spec, compile_unlimited(spec), limits, notes=notes)
 
 
 def _read(

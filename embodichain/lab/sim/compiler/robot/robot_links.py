@@ -37,7 +37,7 @@ from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import FrameKind, match, names_in_spec, no_such
 from embodichain.lab.sim.compiler.robot.files.initial_state import Keyframe, read_keyframe
 from embodichain.lab.sim.compiler.robot.files.joint_couplings import JointCoupling, read_couplings
-from embodichain.lab.sim.compiler.robot.files.robot_files import ModelFile, compile_quietly
+from embodichain.lab.sim.compiler.robot.files.robot_files import ModelFile, compile_unlimited
 from embodichain.lab.sim.compiler.robot.files.robot_joints import (
     FileJoints,
     movable_joints,
@@ -242,7 +242,7 @@ def lock_joints(file: ModelFile, locked: Mapping[str, float]) -> list[Problem]:
         return problems
     for name, position in positions.items():
         _lock(file, name, position)
-    file.model = compile_quietly(file.spec)
+    file.model = compile_unlimited(file.spec)
     return []
 
 

@@ -7,6 +7,7 @@ without this package, says what is right.
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -21,6 +22,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
 )
 from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.files.robot_files import read_model
 from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.kept_files import Twin, in_scene
@@ -378,6 +380,40 @@ def test_a_limit_on_hull_vertices_changes_no_mass(tmp_path, inertia):
     parsed = parse_articulation("r", RobotCfg(fpath=str(path)))
     assert [(hull.mesh, hull.vertices) for hull in parsed.hulls] == [("ball", 400)]
     assert any("hulls of at most 64 vertices" in note for note in parsed.notes)
+
+
+BALL_OF_A_FILE = robot(
+    '<body name="a" pos="0 0 1"><joint name="j"/><geom type="mesh" mesh="ball" mass="1"/></body>',
+    head='<asset><mesh name="ball" file="ball.stl"/></asset>',
+    floor=None,
+)
+
+
+def test_limited_hulls_are_in_mujocos_cache(tmp_path):
+    """Without them each compilation of a robot makes all of its hulls again."""
+    (tmp_path / "ball.stl").write_bytes(_binary_stl(400))
+    path = Path(write(tmp_path / "robot.xml", BALL_OF_A_FILE))
+    cache = mujoco.mj_getCache()
+    mujoco.mj_clearCache(cache)
+    file = read_model(path)
+    size_of_file = mujoco.mj_getCacheSize(cache)
+    assert size_of_file > 0
+    assert [mesh.file for mesh in file.spec.meshes] == [str(tmp_path / "ball.stl")]
+    parse_articulation("r", RobotCfg(fpath=str(path)))
+    size = mujoco.mj_getCacheSize(cache)
+    assert size > size_of_file
+    parse_articulation("r", RobotCfg(fpath=str(path)))
+    assert mujoco.mj_getCacheSize(cache) == size
+
+
+def test_a_broken_mesh_is_named_by_its_own_path(tmp_path):
+    (tmp_path / "ball.stl").write_bytes(_binary_stl(400)[:200])
+    path = write(tmp_path / "robot.xml", BALL_OF_A_FILE)
+    with pytest.raises(ConfigError) as raised:
+        parse_articulation("r", RobotCfg(fpath=path))
+    text = str(raised.value)
+    assert str(tmp_path / "ball.stl") in text
+    assert "/proc/" not in text
 
 
 def test_a_free_joint_that_fix_base_removes_takes_its_actuators_along_and_says_so(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 import xml.etree.ElementTree as ET
@@ -38,7 +39,15 @@ from embodichain.lab.sim.engine.cpu.mujoco_process import install_log_handler
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import quat_multiply
 
-__all__ = ["MUJOCO_ERRORS", "ModelFile", "as_line", "compile_quietly", "locate", "read_model"]
+__all__ = [
+    "MUJOCO_ERRORS",
+    "ModelFile",
+    "as_line",
+    "compile_quietly",
+    "compile_unlimited",
+    "locate",
+    "read_model",
+]
 
 MUJOCO_ERRORS = (ValueError, RuntimeError, mujoco.FatalError)
 """Exceptions of MuJoCo's bindings for a model it cannot parse or compile."""
@@ -167,6 +176,35 @@ def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:
         return spec.compile()
 
 
+_SAME_FILES = "/proc/self/root"
+"""Below it, Linux has every file under a second path (proc(5))."""
+
+
+def compile_unlimited(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile as `compile_quietly`, before hulls are limited (`limit_hulls`).
+
+    MuJoCo caches a mesh by the path of its file, with the hull of the first compilation: a second
+    limit is never cached, and each later compilation would make all hulls again, 0.3 s for a
+    humanoid. So files have a second path here, where there is one.
+    """
+    meshes = [mesh for mesh in spec.meshes if mesh.maxhullvert < 0 and os.path.isabs(mesh.file)]
+    if not (meshes and os.path.exists(_SAME_FILES)):
+        return compile_quietly(spec)
+    paths = [mesh.file for mesh in meshes]
+    try:
+        for mesh, path in zip(meshes, paths, strict=True):
+            mesh.file = f"{_SAME_FILES}{path}"
+        return compile_quietly(spec)
+    except MUJOCO_ERRORS as error:
+        if _SAME_FILES not in str(error):
+            raise
+        # The compilation below raises it with the path that the reader knows.
+    finally:
+        for mesh, path in zip(meshes, paths, strict=True):
+            mesh.file = path
+    return compile_quietly(spec)
+
+
 def _name_elements(spec: mujoco.MjSpec) -> None:
     """Name bodies, joints, geoms, actuators and cameras that have no name in the file."""
     for what, elements in (
@@ -199,10 +237,10 @@ def _read_mjcf(path: Path, convex_parts: bool) -> ModelFile:
         _name_elements(spec)
         make_absolute(spec, path.parent)
         notes = [f"{path}: {note}" for note in convert_meshes(spec)]
-        model = compile_quietly(spec)
+        model = compile_unlimited(spec)
         if convex_parts:
             split_meshes(spec)
-            model = compile_quietly(spec)
+            model = compile_unlimited(spec)
         return ModelFile(path=path, is_urdf=False, spec=spec, model=model, notes=notes)
     except (MeshError, *MUJOCO_ERRORS) as error:
         missing = [] if spec is None else missing_files(spec, path)
@@ -339,7 +377,7 @@ def _compile_repaired(path: Path, spec: mujoco.MjSpec, notes: list[str]) -> mujo
     is_repaired = False
     while True:
         try:
-            return compile_quietly(spec)
+            return compile_unlimited(spec)
         except MUJOCO_ERRORS as error:
             text, _ = as_line(error)
             flat_mesh = _mesh_without_volume(spec, text)
