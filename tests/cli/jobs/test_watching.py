@@ -168,6 +168,21 @@ def test_a_window_that_was_closed_stays_closed(capsys):
     watching.stay()
 
 
+def test_jobs_of_a_sweep_do_not_wait(capsys):
+    words = [
+        "run",
+        "-m",
+        *SHORT[:2],
+        "scene_png=false",
+        "seed=1,2",
+        "max_steps=3",
+        "record=none",
+        "viewer=foxglove",
+    ]
+    assert main([*words, "viewer.port=18767"]) == 0
+    assert "waiting" not in capsys.readouterr().err
+
+
 def test_training_and_evaluation_do_not_wait(capsys):
     tiny = ("algo.n_steps=8", "algo.batch_size=8", "total_timesteps=16", "record=none")
     assert main(["train", "task=cart_pole", *tiny, "eval.episodes=2", "viewer=web"]) == 0
