@@ -35,7 +35,7 @@ class NotebookPage:
 
     Attributes:
         markdown: The page.
-        images: Name -> PNG that the page shows, in the same folder.
+        images: Name -> PNG or GIF that the page shows, in the same folder.
     """
 
     markdown: str
@@ -114,10 +114,11 @@ def _output(output: Any, page: NotebookPage, name: str) -> str:
     if output.output_type == "stream":
         return _text(output.text)
     data = output.get("data", {})
-    if "image/png" in data:
-        file = f"{name}_{len(page.images)}.png"
-        page.images[file] = base64.b64decode(data["image/png"])
-        return f"![Output of the cell above]({file})"
+    for kind in ("png", "gif"):
+        if f"image/{kind}" in data:
+            file = f"{name}_{len(page.images)}.{kind}"
+            page.images[file] = base64.b64decode(data[f"image/{kind}"])
+            return f"![Output of the cell above]({file})"
     if "text/html" in data:
         return STYLE.sub("", data["text/html"])
     return _text(data.get("text/plain", ""))

@@ -17,7 +17,7 @@ from embodichain.config import resolve
 from embodichain.config.keys.check_types import key_names, schema_at
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.managers.terms.registry import KINDS, SHAPES, TERMS
-from embodichain.lab.sim.objects import Robot
+from embodichain.lab.sim.objects import RigidObject, Robot
 from embodichain.utils.errors import ConfigError
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
@@ -133,6 +133,8 @@ def is_python(text: str) -> bool:
         return hasattr(BaseEnv, top) or top in BaseEnv.__annotations__ or f"env.{top}" in FILES
     if owner == "robot":
         return hasattr(Robot, attribute)
+    if owner == "body":
+        return hasattr(RigidObject, attribute)
     return any(name in importlib.import_module(package).__all__ for package in PACKAGES)
 
 

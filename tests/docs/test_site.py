@@ -163,6 +163,8 @@ def test_notebooks_show_what_they_computed(site) -> None:
         assert "are identical to the bit" in text  # printed by `verify`
         assert '<table border="1" class="dataframe">' in text
         assert len(re.findall(rf'<img [^>]*src="{path.stem}_\d+\.png"', text)) >= 2
+    training = (site.folder / "notebooks" / "training.html").read_text("utf-8")
+    assert re.search(r'<img [^>]*src="training_\d+\.gif"', training)
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -93,6 +93,7 @@ class Job:
         compiled_scene: Its scene, for every environment of the job; None if a class adds to it.
         folder: The run folder, not shared with other runs.
         stop: Set by a signal; the job then ends after the current control step.
+        in_sweep: Whether it is one of the jobs of a sweep, which wait for nobody.
         began: Set by `begin`: all is built, and the folder stays.
     """
 
@@ -100,6 +101,7 @@ class Job:
     compiled_scene: CompiledScene | None
     folder: Path
     stop: StopFlag
+    in_sweep: bool = False
     began: threading.Event = field(default_factory=threading.Event)
 
     def begin(self) -> None:
@@ -234,7 +236,9 @@ class Job:
         Args:
             shown: What `attach_viewer` returned.
         """
-        if shown is None or shown.audience is None or policy_name(self.root) == "teleop":
+        if shown is None or shown.audience is None or self.in_sweep:
+            return None
+        if policy_name(self.root) == "teleop":
             return None
         return Watching(
             shown.audience, wait_s=self.root.viewer.wait_s, stop=self.stop, quiet=self.quiet
@@ -392,6 +396,7 @@ def execute(
     *,
     verb: JobVerb = "run",
     is_continued: bool = False,
+    in_sweep: bool = False,
     undo_claim: Callable[[], None] | None = None,
 ) -> float | None:
     """Compile the scene of a job, and run it in its folder, with a log file.
@@ -403,6 +408,7 @@ def execute(
         folder: The run folder; None makes a new one, which is removed if the job is refused.
         verb: The verb of the job.
         is_continued: Whether the folder belongs to this job already; its config stays.
+        in_sweep: Whether it is one of the jobs of a sweep.
         undo_claim: Called if the job is refused before it began, where `folder` is given.
 
     Raises:
@@ -424,7 +430,7 @@ def execute(
             resolved = with_warp_values(resolved, verb, compiled_scene=compiled_scene)
     if folder is None:
         folder, undo_claim = _claim_folder(resolved)
-    job = Job(resolved, compiled_scene, folder, stop=StopFlag())
+    job = Job(resolved, compiled_scene, folder, stop=StopFlag(), in_sweep=in_sweep)
     try:
         return _execute(job, work, command, is_continued=is_continued)
     except (ConfigError, RenderError):  # the input is wrong: exit code 2, nothing was started

@@ -60,8 +60,7 @@ class Watching:
 
         In a terminal it waits until somebody looks or a key is pressed, elsewhere for `wait_s`.
         """
-        is_of_sweep = getattr(sys.stderr, "is_of_sweep", False)
-        if not self._is_watched() and self._wait_s > 0 and not is_of_sweep:
+        if not self._is_watched() and self._wait_s > 0:
             if self.has_person:
                 self._wait_for_key()
             else:

@@ -79,6 +79,7 @@ class RunJob(Protocol):
         *,
         folder: Path | None = None,
         is_continued: bool = False,
+        in_sweep: bool = False,
         undo_claim: Callable[[], None] | None = None,
     ) -> float | None: ...
 
@@ -252,7 +253,10 @@ def _run_in_sweep(
         if not entered.finished:
             with _replace_interrupt():
                 objective = run_job(
-                    entered.resolved, folder=folder, is_continued=entered.is_continued
+                    entered.resolved,
+                    folder=folder,
+                    is_continued=entered.is_continued,
+                    in_sweep=True,
                 )
         elif not resolved.root.quiet:
             sys.stderr.write(f"finished already: {folder}\n")

@@ -14,12 +14,7 @@ _MOST_BYTES = 1024
 
 
 def has_person() -> bool:
-    """Whether somebody sits at this command: it is in the foreground of a terminal.
-
-    A job of a sweep has nobody, also if the sweep was started in a terminal.
-    """
-    if getattr(sys.stderr, "is_of_sweep", False):
-        return False
+    """Whether somebody sits at this command: it is in the foreground of a terminal."""
     try:
         is_terminal = sys.stdin.isatty() and sys.stderr.isatty()
         if not is_terminal:

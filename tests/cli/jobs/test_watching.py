@@ -12,7 +12,10 @@ from websockets.sync.client import connect
 import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.cli.app import call
+from embodichain.cli.jobs.watching import Watching
+from embodichain.cli.terminal.process import StopFlag
 from embodichain.config import resolve
+from embodichain.recording.viewers.showing import Audience
 from embodichain.utils.errors import ConfigError
 from tests.helpers import doors
 from tests.helpers.browser import chromium, needs_chromium
@@ -151,6 +154,33 @@ def test_without_a_terminal_it_ends_when_the_run_is_over(commands, tmp_path):
         printed += started.stderr.readline()
     with page_at(url_of(printed)):
         assert started.wait(30) == 0
+
+
+def test_a_window_that_was_closed_stays_closed(capsys):
+    is_open = [True]
+    window = Audience(is_watched=lambda: is_open[0], what="the window", may_return=False)
+    watching = Watching(window, wait_s=30.0, stop=StopFlag())
+    assert watching.wait() and watching.hold()
+    is_open[0] = False
+    assert not watching.hold()
+    assert capsys.readouterr().err == "viewer: the window was closed: the run goes on without it\n"
+    assert watching.hold()  # nobody looks any more: it goes on
+    watching.stay()
+
+
+def test_jobs_of_a_sweep_do_not_wait(capsys):
+    words = [
+        "run",
+        "-m",
+        *SHORT[:2],
+        "scene_png=false",
+        "seed=1,2",
+        "max_steps=3",
+        "record=none",
+        "viewer=foxglove",
+    ]
+    assert main([*words, "viewer.port=18767"]) == 0
+    assert "waiting" not in capsys.readouterr().err
 
 
 def test_training_and_evaluation_do_not_wait(capsys):

@@ -100,7 +100,7 @@ def test_a_page_that_nobody_opens_waits_until_it_is_stopped(tmp_path, monkeypatc
 
 def test_three_demos_are_listed_which_need_nothing_more(capsys):
     assert main(["demo", "--list", "--json"]) == 0
-    demos = json.loads(capsys.readouterr().out)
+    demos = json.loads(capsys.readouterr().out)["demos"]
     assert len(demos) == 3
     for entry in demos:
         assert entry["command"] == f"embodichain demo {entry['task']}"

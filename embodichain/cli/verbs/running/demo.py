@@ -120,7 +120,7 @@ def _print_demos(options: DemoOptions) -> None:
         for task, shows in _DEMOS.items()
     ]
     if options.json:
-        print_json(demos)
+        print_json({"demos": demos})
         return
     print_table("demos", demos)
     sys.stdout.write(
