@@ -23,6 +23,7 @@ import click
 from embodichain.cli.new_task.guesses import Guess
 from embodichain.cli.new_task.new_robot import UR10, describe_robot
 from embodichain.cli.new_task.new_time_step import TimeStep, time_step
+from embodichain.cli.new_task.task_trials import EPISODES, Trial
 from embodichain.cli.terminal.output import print_json
 from embodichain.cli.verb import verb
 from embodichain.utils.errors import ConfigError
@@ -253,7 +254,7 @@ def _write_kind(options: NewOptions) -> None:
         _next_commands(names),
         toml,
         guesses=[*choice.guesses, *task.guesses],
-        success=task.success,
+        trial=task.trial,
         json=options.json,
     )
 
@@ -331,7 +332,7 @@ def _report(
     toml: str,
     *,
     guesses: Sequence[Guess] = (),
-    success: float | None = None,
+    trial: Trial | None = None,
     json: bool,
 ) -> None:
     """Print what was written, and what to do next.
@@ -342,7 +343,7 @@ def _report(
         commands: The commands to type next.
         toml: What `pyproject.toml` lacks.
         guesses: What was guessed.
-        success: Share of episodes in which the expert succeeded; None without one.
+        trial: How its expert did; None without one.
         json: Print one JSON object.
     """
     written = [path.as_posix() for path in files]
@@ -353,15 +354,17 @@ def _report(
             facts["why"] = step.why
         if guesses:
             facts["guessed"] = [{"key": g.key, "value": g.value, "why": g.why} for g in guesses]
-        if success is not None:
-            facts["expert_success"] = success
+        if trial is not None:
+            facts["expert"] = {"success": trial.success, "failure": trial.failure}
         print_json(facts)
         return
     lines = [f"wrote {path}" for path in written]
     if guesses:
         lines += ["", "guessed:", *(f"  {guess}" for guess in guesses), ""]
-    if success is not None:
-        lines.append(f"its expert, tried in 48 episodes, succeeds in {100 * success:.0f} %")
+    if trial is not None:
+        lines.append(f"its expert succeeds in {100 * trial.success:.0f} % of {EPISODES} episodes")
+        if trial.failure:
+            lines.append(f"  one of the others: {trial.failure}")
     if step.why:
         lines.append(f"physics_dt {step.dt:g} s: {step.why}")
     lines += ["", "next:"]
