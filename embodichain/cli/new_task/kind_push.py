@@ -115,7 +115,7 @@ def _words(
         "goal_place": list_of([x, goal_y, 0.001]),
         "cube_range": _box(0.03 * size, 0.02 * size),
         "goal_range": _box(0.05 * size, 0.05 * size),
-        "near": number(rounded(0.08 * size)),
+        "near": number(rounded(0.1 * size)),
         "tool_keys": tool_keys(robot),
         "rotation": "keep" if keeps else "free",
         "step": number(rounded(_STEP * size)),

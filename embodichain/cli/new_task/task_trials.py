@@ -60,9 +60,10 @@ def try_expert(task: str, embodiment: NewEmbodiment) -> Trial:
                 failure = failure or next((str(reason) for reason in failures if reason), "")
                 obs, _, terminated, truncated, info = env.step(action)
                 successes += int((info["success"] & (terminated | truncated)).sum())
-            if successes < EPISODES and not failure:
-                failure = "it was too slow, or the result was not within the bounds of success"
-            return Trial(successes / EPISODES, failure)
+            if successes == EPISODES:
+                return Trial(1.0)
+            slow = "it was too slow, or the result was not within the bounds of success"
+            return Trial(successes / EPISODES, failure or slow)
     except ConfigError as error:
         return Trial(0.0, str(error.problems[0]) if error.problems else str(error))
 
