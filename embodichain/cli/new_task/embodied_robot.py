@@ -145,7 +145,7 @@ def read_embodiment(embodiment: NewEmbodiment) -> EmbodiedRobot:
         raise ConfigError(problems)
     cfg = checked.root.task.robot
     if cfg is None or not cfg.fpath:
-        message = f"embodiment {embodiment.name} has not one robot with a file"
+        message = f"embodiment {embodiment.name} has several robots, or none with a file"
         raise ConfigError(f"{message}: `new task --kind` writes tasks of one robot")
     parsed, problems = parse_with_problems("robot", cfg)
     if parsed is None or problems:

@@ -47,7 +47,7 @@ def draft_pick(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
     joints = robot.joints_of("arm")
     ends = gripper_ends(robot)
     gap = finger_gap(robot, ends) if ends else 0.0
-    beyond = reach_beyond_tool(robot, ends.close if ends else {}).beyond
+    beyond = max(0.0, reach_beyond_tool(robot, ends.close if ends else {}).beyond)
     cube = rounded(float(np.clip(_SHARE_OF_GAP * gap, _SMALLEST_CUBE, _LARGEST_CUBE)))
     if not gap:
         cube = 0.03

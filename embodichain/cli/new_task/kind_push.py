@@ -20,6 +20,7 @@ from embodichain.cli.new_task.task_draft import (
     tool_keys,
 )
 from embodichain.cli.new_task.work_area import Layout, WorkArea, find_work_areas
+from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.cli.new_task.embodied_robot import EmbodiedRobot
@@ -42,12 +43,20 @@ _ENOUGH_JOINTS = 5
 
 
 def draft_push(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
-    """Yield tasks of pushing, the largest work area first."""
+    """Yield tasks of pushing, the largest work area first.
+
+    Raises:
+        ConfigError: If the hand has no shape that touches the cube.
+    """
     joints = robot.joints_of("arm")
     tool = robot.tool()
     ends = gripper_ends(robot)
     closed = ends.close if ends else {}
     shape = reach_beyond_tool(robot, closed)
+    if not shape.touches:
+        message = f"push needs a hand that touches the cube, and nothing of {tool.name} collides"
+        hint = "fix a stick on it with `attachments` of the embodiment"
+        raise ConfigError(f"{message}: {hint}, docs/robots.md#attachments")
     sensors, camera_guesses = camera_words(robot)
 
     def layout(size: float) -> Layout:
@@ -106,7 +115,7 @@ def _words(
         "goal_place": list_of([x, goal_y, 0.001]),
         "cube_range": _box(0.03 * size, 0.02 * size),
         "goal_range": _box(0.05 * size, 0.05 * size),
-        "near": number(rounded(0.08 * size)),
+        "near": number(rounded(0.1 * size)),
         "tool_keys": tool_keys(robot),
         "rotation": "keep" if keeps else "free",
         "step": number(rounded(_STEP * size)),

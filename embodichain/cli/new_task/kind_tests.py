@@ -52,5 +52,5 @@ def kind_test_words(kind: str, tool_kind: str) -> dict[str, str]:
         further = _AT_GOAL.format(frame=tool_kind)
         return {"imports": "", "drawn": "to_goal", "further": further.rstrip("\n")}
     if kind == "velocity":
-        return {"imports": _POLICIES, "drawn": "command", "further": _STANDS.rstrip("\n")}
+        return {"imports": _POLICIES, "drawn": "qpos", "further": _STANDS.rstrip("\n")}
     return {"imports": _POLICIES, "drawn": "to_goal", "further": _EXPERT.rstrip("\n")}

@@ -52,7 +52,17 @@ def guess_embodiment(fpath: str) -> list[Guess]:
     guesses += _leg_guesses(robot) if robot.is_floating else _arm_guesses(robot)
     guesses.append(Guess("names.base", robot.parsed.root_link_name, "the root link"))
     guesses.append(_drive_guess(robot))
-    return guesses
+    return [_with_own_name(robot, guess) for guess in guesses]
+
+
+def _with_own_name(robot: RobotFile, guess: Guess) -> Guess:
+    """A name of a link that the file has itself stands for what it has there."""
+    section, _, name = guess.key.partition(".")
+    parsed = robot.parsed
+    own_names = {*parsed.link_names, *parsed.site_names, *parsed.geom_names}
+    if section != "names" or name not in own_names or guess.value in ("", name):
+        return guess
+    return Guess(guess.key, name, f"the file calls it so; the guess was {guess.value}")
 
 
 def embodiment_text(name: str, guesses: Sequence[Guess]) -> str:

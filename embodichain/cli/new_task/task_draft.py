@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "TaskDraft",
+    "ToolShape",
     "camera_words",
     "first_positions",
     "joint_map",
@@ -77,14 +78,16 @@ def first_positions(robot: EmbodiedRobot, changes: Mapping[str, float]) -> str:
     """
     parsed = robot.parsed
     if isinstance(parsed.cfg.init_qpos, Mapping):
-        return joint_map({name: round(value, 3) for name, value in changes.items()})
-    values = [changes.get(name, float(parsed.init_qpos[i])) for i, name in _own_joints(robot)]
-    return list_of(round(value, 3) for value in values)
-
-
-def _own_joints(robot: EmbodiedRobot) -> list[tuple[int, str]]:
-    """Numbers and names of the joints that a list of `init_qpos` gives: of all files together."""
-    return list(enumerate(robot.parsed.joint_names))
+        items = [
+            f"{json.dumps(re.escape(name))}: {round(value, 6) + 0.0:.7g}"
+            for name, value in changes.items()
+        ]
+        return f"{{{', '.join(items)}}}"
+    values = [
+        changes.get(name, float(value))
+        for name, value in zip(parsed.joint_names, parsed.init_qpos, strict=True)
+    ]
+    return f"[{', '.join(f'{round(value, 6) + 0.0:.7g}' for value in values)}]"
 
 
 def tool_keys(robot: EmbodiedRobot) -> str:
@@ -115,12 +118,14 @@ class ToolShape:
     """How far the shapes of a hand reach from its tool.
 
     Attributes:
-        beyond: Metres along the tool's z axis, 0 at least.
+        beyond: Metres along the tool's z axis, negative where they end before the tool.
         aside: Metres across it, of what is within 3 cm of the end.
+        touches: Whether a shape collides at all.
     """
 
     beyond: float
     aside: float
+    touches: bool
 
 
 _END = 0.03
@@ -149,9 +154,12 @@ def reach_beyond_tool(robot: EmbodiedRobot, joints: Mapping[str, float]) -> Tool
     body = body_of(model, tool)
     while body and not model.body_jntnum[body]:
         body = int(model.body_parentid[body])
-    points = corners_of(model, data, subtree_of(model, body))
+    bodies = subtree_of(model, body)
+    points = corners_of(model, data, bodies)
+    is_of_hand = np.isin(model.geom_bodyid, bodies)
+    is_solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     local = (points - element.xpos) @ element.xmat.reshape(3, 3)
-    beyond = max(0.0, float(local[:, 2].max()))
+    beyond = float(local[:, 2].max())
     at_end = local[local[:, 2] > beyond - _END]
     aside = float(np.median(np.hypot(at_end[:, 0], at_end[:, 1])))
-    return ToolShape(beyond, min(aside, 0.1))
+    return ToolShape(beyond, min(aside, 0.1), bool((is_of_hand & is_solid).any()))

@@ -15,7 +15,7 @@ from embodichain.cli.new_task.kind_push import draft_push
 from embodichain.cli.new_task.kind_reach import draft_reach
 from embodichain.cli.new_task.kind_velocity import draft_velocity
 from embodichain.cli.new_task.new_time_step import TimeStep, time_step
-from embodichain.cli.new_task.task_trials import share_of_successes
+from embodichain.cli.new_task.task_trials import Trial, try_expert
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -79,13 +79,13 @@ class WrittenTask:
         text: Its YAML.
         guesses: What was guessed, in the order of the file.
         time_step: Its time step.
-        success: Share of episodes in which its expert succeeded; None without an expert.
+        trial: How its expert did; None without an expert.
     """
 
     text: str
     guesses: Sequence[Guess]
     time_step: TimeStep
-    success: float | None
+    trial: Trial | None
 
 
 def write_kind(kind: Kind, robot: EmbodiedRobot) -> WrittenTask:
@@ -110,10 +110,10 @@ def write_kind(kind: Kind, robot: EmbodiedRobot) -> WrittenTask:
         text = _text(kind, robot, draft, step)
         if not kind.has_expert:
             return WrittenTask(text, draft.guesses, step, None)
-        success = share_of_successes(text, robot.embodiment)
-        if best is None or success > (best.success or 0.0):
-            best = WrittenTask(text, draft.guesses, step, success)
-        if success >= _GOOD_ENOUGH:
+        trial = try_expert(text, robot.embodiment)
+        if best is None or best.trial is None or trial.success > best.trial.success:
+            best = WrittenTask(text, draft.guesses, step, trial)
+        if trial.success >= _GOOD_ENOUGH:
             break
     if best is None:
         how = " pointing straight down" if kind.name == "pick" else ""

@@ -1,4 +1,4 @@
-"""`share_of_successes`: whether the expert of a task solves it, before its file is written."""
+"""`try_expert`: whether the expert of a task solves it, before its file is written."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import logging
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,36 +17,55 @@ if TYPE_CHECKING:
     from embodichain.cli.new_task.embodied_robot import NewEmbodiment
     from embodichain.lab.gym.envs import BaseEnv
 
-__all__ = ["quiet", "share_of_successes", "trial_env"]
+__all__ = ["EPISODES", "Trial", "trial_env", "try_expert"]
 
-_EPISODES = 48
+EPISODES = 48
+"""Episodes of a trial."""
 
 
-def share_of_successes(task: str, embodiment: NewEmbodiment) -> float:
-    """Share of episodes, from seed 0, that a task's expert ends in success.
+@dataclass(frozen=True)
+class Trial:
+    """How a task's expert did.
+
+    Attributes:
+        success: Share of episodes that ended in success.
+        failure: Why the first of the others did not, for people; empty without one.
+    """
+
+    success: float
+    failure: str = ""
+
+
+def try_expert(task: str, embodiment: NewEmbodiment) -> Trial:
+    """Let a task's expert play one episode in each of 48 environments, from seed 0.
 
     Args:
         task: The task's YAML.
         embodiment: Its embodiment.
 
     Returns:
-        The share; 0 if the task or its expert cannot be built for this robot.
+        How it did; without a success if the task or its expert cannot be built for this robot.
     """
     from embodichain.lab.gym.policies import resolve_policy
 
     try:
-        with trial_env(task, embodiment, num_envs=_EPISODES) as env:
+        with trial_env(task, embodiment, num_envs=EPISODES) as env:
             obs, _ = env.reset(seed=0)
             expert = resolve_policy("expert")
-            success = 0.0
+            successes = 0
+            failure = ""
             for _ in range(env.max_episode_steps):
-                obs, _, terminated, truncated, info = env.step(expert(obs, env))
-                is_over = terminated | truncated
-                success += float((info["success"] & is_over).sum())
-            return success / _EPISODES
+                action = expert(obs, env)
+                failures = getattr(expert, "failures", ())
+                failure = failure or next((str(reason) for reason in failures if reason), "")
+                obs, _, terminated, truncated, info = env.step(action)
+                successes += int((info["success"] & (terminated | truncated)).sum())
+            if successes == EPISODES:
+                return Trial(1.0)
+            slow = "it was too slow, or the result was not within the bounds of success"
+            return Trial(successes / EPISODES, failure or slow)
     except ConfigError as error:
-        logging.getLogger(__name__).debug("the trial of an expert was refused: %s", error)
-        return 0.0
+        return Trial(0.0, str(error.problems[0]) if error.problems else str(error))
 
 
 @contextmanager
@@ -59,7 +79,7 @@ def trial_env(task: str, embodiment: NewEmbodiment | None, *, num_envs: int) -> 
     """
     import embodichain
 
-    with tempfile.TemporaryDirectory() as folder, quiet():
+    with tempfile.TemporaryDirectory() as folder, _quiet():
         write_trial_files(Path(folder), task, embodiment)
         env = embodichain.make(TRIAL, num_envs=num_envs, seed=0, config_dir=folder)
         try:
@@ -69,7 +89,7 @@ def trial_env(task: str, embodiment: NewEmbodiment | None, *, num_envs: int) -> 
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def _quiet() -> Iterator[None]:
     """Leave out messages about the file: `validate` has them."""
     logger = logging.getLogger("embodichain")
     level = logger.level

@@ -285,10 +285,16 @@ def subtree_of(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def corners_of(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int]) -> F64:
-    """(n, 3) corners of the boxes around the shapes of bodies, m; their origins without any."""
+    """(n, 3) corners of the boxes around the shapes of bodies, m; their origins without any.
+
+    Shapes that collide count, where there are some.
+    """
     import itertools
 
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+    is_solid = (model.geom_contype[geoms] != 0) | (model.geom_conaffinity[geoms] != 0)
+    if is_solid.any():
+        geoms = geoms[is_solid]
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     points = []
     for geom in geoms:

@@ -26,9 +26,11 @@ _SIZES = (1.0, 0.75, 0.6, 0.5, 0.4, 0.3, 0.25)
 _DISTANCES = 12
 """Places of the middle of the layout that are tried, between the base and the longest reach."""
 _RESTARTS = 12
-_ITERATIONS = 60
+_ITERATIONS = 80
 _ARRIVED = 2e-3
 """m, and rad: an error that is smaller counts as none."""
+_EXACT = 1e-6
+"""Likewise, of a home: five joints follow a line only from where the tool points down exactly."""
 _DAMPING = 1e-5
 _LONGEST_STEP = 0.3
 _MARGIN = 0.03
@@ -193,7 +195,9 @@ class _Arm:
         """Yield different poses, (k,), in which the tool is at a place, m, and nothing touches."""
         found: list[F64] = []
         for start in self._starts:
-            qpos = self._solve(place, start, is_down=is_down, low=self.low, high=self.high)
+            qpos = self._solve(
+                place, start, is_down=is_down, low=self.low, high=self.high, tolerance=_EXACT
+            )
             if qpos is None or any(np.abs(qpos - other).max() < 0.1 for other in found):
                 continue
             found.append(qpos)
@@ -204,7 +208,16 @@ class _Arm:
         """Whether the tool gets to a place, m, from a pose (k,), with joints between bounds."""
         return self._solve(place, start, is_down=is_down, low=low, high=high) is not None
 
-    def _solve(self, place: F64, start: F64, *, is_down: bool, low: F64, high: F64) -> F64 | None:
+    def _solve(
+        self,
+        place: F64,
+        start: F64,
+        *,
+        is_down: bool,
+        low: F64,
+        high: F64,
+        tolerance: float = _ARRIVED,
+    ) -> F64 | None:
         """The pose in which the tool is at a place, by damped least squares, or None."""
         import mujoco
 
@@ -217,7 +230,7 @@ class _Arm:
             if is_down and axis[2] > 0:
                 turn = turn / max(float(np.linalg.norm(turn)), 1e-3)
             error = np.concatenate([place - pos, turn])
-            if float(np.abs(error).max()) < _ARRIVED:
+            if float(np.abs(error).max()) < tolerance:
                 return qpos
             linear = np.zeros((3, self._model.nv))
             angular = np.zeros((3, self._model.nv))

@@ -23,6 +23,7 @@ import click
 from embodichain.cli.new_task.guesses import Guess
 from embodichain.cli.new_task.new_robot import UR10, describe_robot
 from embodichain.cli.new_task.new_time_step import TimeStep, time_step
+from embodichain.cli.new_task.task_trials import EPISODES, Trial
 from embodichain.cli.terminal.output import print_json
 from embodichain.cli.verb import verb
 from embodichain.utils.errors import ConfigError
@@ -227,6 +228,8 @@ def _write_kind(options: NewOptions) -> None:
     _check_name(options.name)
     project = _read_pyproject()
     names = _names(options.name, project)
+    yaml_file = names.conf / "task" / f"{names.task}.yaml"
+    _refuse_existing([yaml_file, names.test])  # before anything is tried, which takes seconds
     kind = KINDS[options.kind or "reach"]
     choice = _embodiment_of(options, names, kind.name)
     embodiment = choice.embodiment
@@ -242,18 +245,20 @@ def _write_kind(options: NewOptions) -> None:
     files = {}
     if embodiment.is_new:
         files[names.conf / "embodiment" / f"{embodiment.name}.yaml"] = embodiment.text
-    files[names.conf / "task" / f"{names.task}.yaml"] = task.text
+    files[yaml_file] = task.text
     files[names.test] = _fill("kind_test.py", words)
     files |= _missing_inits(names, python=False)
     _write(files)
     toml = _missing_toml(project, names, python=False)
+    commands = _next_commands(names)
+    commands.append(commands[-1].replace("embodichain run", "embodichain train"))
     _report(
         files,
         task.time_step,
-        _next_commands(names),
+        commands,
         toml,
         guesses=[*choice.guesses, *task.guesses],
-        success=task.success,
+        trial=task.trial,
         json=options.json,
     )
 
@@ -306,7 +311,7 @@ def _embodiment_of(options: NewOptions, names: _Names, kind: str) -> _Embodiment
             guesses = guess_embodiment(options.robot)
             text = embodiment_text(name, guesses)
             return _EmbodimentChoice(NewEmbodiment(name, text, is_new=True), guesses)
-        if _robot_file(path) == options.robot:
+        if os.path.normpath(_robot_file(path) or "") == os.path.normpath(options.robot):
             why = f"{path.as_posix()}, which exists, has this file"
             text = path.read_text(encoding="utf-8")
             return _EmbodimentChoice(NewEmbodiment(name, text), [Guess("embodiment", name, why)])
@@ -331,7 +336,7 @@ def _report(
     toml: str,
     *,
     guesses: Sequence[Guess] = (),
-    success: float | None = None,
+    trial: Trial | None = None,
     json: bool,
 ) -> None:
     """Print what was written, and what to do next.
@@ -342,7 +347,7 @@ def _report(
         commands: The commands to type next.
         toml: What `pyproject.toml` lacks.
         guesses: What was guessed.
-        success: Share of episodes in which the expert succeeded; None without one.
+        trial: How its expert did; None without one.
         json: Print one JSON object.
     """
     written = [path.as_posix() for path in files]
@@ -353,15 +358,17 @@ def _report(
             facts["why"] = step.why
         if guesses:
             facts["guessed"] = [{"key": g.key, "value": g.value, "why": g.why} for g in guesses]
-        if success is not None:
-            facts["expert_success"] = success
+        if trial is not None:
+            facts["expert"] = {"success": trial.success, "failure": trial.failure}
         print_json(facts)
         return
     lines = [f"wrote {path}" for path in written]
     if guesses:
         lines += ["", "guessed:", *(f"  {guess}" for guess in guesses), ""]
-    if success is not None:
-        lines.append(f"its expert, tried in 48 episodes, succeeds in {100 * success:.0f} %")
+    if trial is not None:
+        lines.append(f"its expert succeeds in {100 * trial.success:.0f} % of {EPISODES} episodes")
+        if trial.failure:
+            lines.append(f"  one of the others: {trial.failure}")
     if step.why:
         lines.append(f"physics_dt {step.dt:g} s: {step.why}")
     lines += ["", "next:"]
@@ -489,9 +496,7 @@ def _write(files: dict[Path, str]) -> None:
     Raises:
         ConfigError: If a file exists (then nothing is written), or cannot be written.
     """
-    existing_files = [path.as_posix() for path in files if os.path.lexists(path)]
-    if existing_files:
-        raise ConfigError(f"files exist, and are never replaced: {', '.join(existing_files)}")
+    _refuse_existing(files)
     for path, text in files.items():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -499,6 +504,13 @@ def _write(files: dict[Path, str]) -> None:
                 stream.write(text)
         except OSError as error:
             raise ConfigError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def _refuse_existing(paths: Iterable[Path]) -> None:
+    """Refuse to replace files."""
+    existing_files = [path.as_posix() for path in paths if os.path.lexists(path)]
+    if existing_files:
+        raise ConfigError(f"files exist, and are never replaced: {', '.join(existing_files)}")
 
 
 def _missing_toml(project: dict[str, Any], names: _Names, *, python: bool) -> str:
