@@ -15,10 +15,10 @@ from markupsafe import Markup
 from embodichain.cli.pages.curves import group_charts
 from embodichain.cli.pages.episodes import PlayedEpisode, read_episodes
 from embodichain.cli.pages.figures import interval_mark
+from embodichain.cli.pages.galleries import Still, draw_failures
 from embodichain.cli.pages.headline import Result, seeds_result
 from embodichain.cli.pages.page import render_page
 from embodichain.cli.pages.run_record import read_record
-from embodichain.cli.pages.stills import Still, draw_ends
 from embodichain.cli.studies.results import RATES, Factors, StudyResults
 from embodichain.cli.studies.stages import read_stage
 from embodichain.cli.studies.study_job import StudyFolder
@@ -240,16 +240,15 @@ def _failed_episodes(study: Study, place: StudyFolder, notes: list[str]) -> list
                 chosen.append((job, variation, failed[index]))
     episodes: list[FailedEpisode] = []
     for job, variation, episode in chosen:
-        try:
-            stills = draw_ends([episode])
-        except EmbodichainError as error:  # nothing can be drawn here, or a log is damaged
-            notes.append(f"no pictures of episodes: {error}")
+        gallery = draw_failures([episode])
+        if gallery.note:  # nothing can be drawn here, or a log is damaged
+            notes.append(gallery.note)
             break
-        if stills and episode.log is not None:
+        if gallery.stills and episode.log is not None:
             log = quote(str(episode.log.relative_to(place.path)))
             title = f"{job.arm}, {job.task}, seed {job.seed}, {variation}"
             film = _film(place, job, variation, episode, notes)
-            episodes.append(FailedEpisode(title, stills[0], film, log))
+            episodes.append(FailedEpisode(title, gallery.stills[0], film, log))
     return episodes
 
 
