@@ -49,7 +49,6 @@ from embodichain.lab.sim.compiler.sensing.scene_sensors import (
 from embodichain.lab.sim.compiler.sensing.sensor_index import SensorIndex
 from embodichain.lab.sim.compiler.sensing.views import add_views, place_views, scene_bounds
 from embodichain.lab.sim.configs.scene_cfg import GroundCfg
-from embodichain.lab.sim.drawing.marks import HALO
 from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_rotate
@@ -436,6 +435,8 @@ def _index_object(
     joint = int(model.body_jntadr[body])
     geoms: Ids = np.flatnonzero(model.geom_bodyid == body).astype(np.int64)
     if cfg.halo is not None:
+        from embodichain.lab.sim.drawing.marks import HALO  # few objects have one
+
         geoms = geoms[geoms != model.geom(f"{uid}/{HALO}").id]  # it is in pictures only
     variants = None
     if cfg.any_of:
