@@ -21,7 +21,7 @@ import yaml
 from numpy.typing import NDArray
 
 from embodichain.config.composition.composed import compose, list_options
-from embodichain.config.resolved import Resolved, resolve
+from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.utils.errors import ConfigError
 
@@ -83,7 +83,7 @@ class Impact:
         return not self.parted and not self.flips and not self.reason
 
 
-def impact_of(path: Path, overrides: Sequence[str] = ()) -> Impact:
+def impact_of(path: Path, overrides: Sequence[str] = (), *, trust: bool = False) -> Impact:
     """Play a log again in its task as it is today, and compare.
 
     The config is composed from today's files, with those of the recorded overrides that are about
@@ -92,6 +92,8 @@ def impact_of(path: Path, overrides: Sequence[str] = ()) -> Impact:
     Args:
         path: The log.
         overrides: Changes to the config, in Hydra's grammar.
+        trust: Whether modules that the config names are imported. A log chooses the task and has
+            overrides, so by default none is.
 
     Raises:
         ConfigError: The log cannot be read, or the config has mistakes.
@@ -100,7 +102,7 @@ def impact_of(path: Path, overrides: Sequence[str] = ()) -> Impact:
     from embodichain.recording.shards import joining
 
     with joining.open(path) as log:
-        resolved, notes = _config(log, overrides)
+        resolved, notes = _config(log, overrides, trust=trust)
         recorded = _Recorded(log)
         impact = Impact(str(path), log.task, log.num_envs, notes=tuple(notes))
         env = make_env(resolved)
@@ -120,7 +122,7 @@ def impact_of(path: Path, overrides: Sequence[str] = ()) -> Impact:
 
 
 def impact_elsewhere(
-    python: Path, logs: Sequence[Path], overrides: Sequence[str]
+    python: Path, logs: Sequence[Path], overrides: Sequence[str], *, trust: bool = False
 ) -> list[dict[str, Any]]:
     """Have another interpreter, with its own MuJoCo, play logs again.
 
@@ -128,6 +130,7 @@ def impact_elsewhere(
         python: The interpreter, or the folder of its virtual environment.
         logs: The logs.
         overrides: Changes to the config.
+        trust: As in `impact_of`.
 
     Returns:
         The fields of an `Impact` for each log.
@@ -142,6 +145,8 @@ def impact_elsewhere(
         raise ConfigError(f"--with-python: there is no interpreter {executable}")
     words = [str(log.resolve()) for log in logs]
     command = [str(executable), "-m", "embodichain", "impact", *words, *overrides, "--json"]
+    if trust:
+        command.append("--trust")
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode not in (0, 1):
         raise ConfigError(f"{executable} cannot play the logs: {result.stderr.strip()}")
@@ -153,7 +158,7 @@ def impact_elsewhere(
     return impacts
 
 
-def _config(log: Log, overrides: Sequence[str]) -> tuple[Resolved, list[str]]:
+def _config(log: Log, overrides: Sequence[str], *, trust: bool) -> tuple[Resolved, list[str]]:
     """The config in which a log is played again, and notes."""
     typed = [str(line) for line in yaml.safe_load(log.attachment("overrides.yaml")) or []]
     lines = [line for line in typed if _root_of(line) in _CONFIG_KEYS]
@@ -163,7 +168,12 @@ def _config(log: Log, overrides: Sequence[str]) -> tuple[Resolved, list[str]]:
             raise ConfigError(f"{log.path}: there is no task {log.task!r} any more")
         lines.insert(0, f"task={log.task}")
         notes.append(f"the log's overrides name no task: it is played in {log.task} as it is now")
-    resolved = resolve(compose([*lines, *overrides], "run"), "run")
+    composed = compose([*lines, *overrides], "run")
+    if composed.problems:
+        raise ConfigError(composed.problems)
+    resolved = resolve_tree(
+        composed.tree, composed.source, "run", task_name=log.task, allow_import=trust
+    )
     return resolved.changed(
         seed=log.seed,
         num_envs=log.num_envs,

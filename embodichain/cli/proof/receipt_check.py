@@ -232,7 +232,7 @@ def _play(receipt: Receipt, report: ReceiptReport, policy: Path | None, *, trust
     from embodichain.recording.shards import joining
 
     try:
-        name = _policy_of_receipt(receipt, policy)
+        name = _policy_of_receipt(receipt, policy, trust=trust)
     except ConfigError as error:
         report.add("actions", ok=False, text=str(error))
         return
@@ -272,15 +272,18 @@ def _play(receipt: Receipt, report: ReceiptReport, policy: Path | None, *, trust
         report.add("successes", ok=result.success.count == success["count"], text=text)
 
 
-def _policy_of_receipt(receipt: Receipt, policy: Path | None) -> str:
+def _policy_of_receipt(receipt: Receipt, policy: Path | None, *, trust: bool) -> str:
     """Return the name or the file of the policy.
 
     Raises:
-        ConfigError: The file is missing, or another one.
+        ConfigError: The file is missing, or another one; or the policy is code and not trusted.
     """
     stated = receipt.content.get("policy_file")
     if stated is None:
-        return str(receipt.content["policy"])
+        name = str(receipt.content["policy"])
+        if ":" in name and not trust:
+            raise ConfigError(f"the policy is code, {name}: --trust runs it")
+        return name
     path = policy if policy is not None else receipt.path.parent / stated["path"]
     if not path.is_file():
         raise ConfigError(f"there is no policy {path}: name it with --policy")

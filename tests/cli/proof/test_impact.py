@@ -77,6 +77,25 @@ def test_another_interpreter_plays_the_logs(golden: Path, capsys: Any) -> None:
     assert code == 1 and log["parted"] == 3
 
 
+def test_what_a_log_names_is_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "extra_term.py").write_text(
+        "import torch\n\ndef nothing(env, obs, action, info):\n    return torch.zeros(env.num_envs)\n"
+    )
+    reward = "+task.rewards.more={func: 'extra_term:nothing', weight: 1}"
+    words = ("task=cart_pole", reward, "max_steps=5", "quiet=true", "scene_png=false")
+    assert main(["run", *words, f"hydra.run.dir={tmp_path}/log"]) == 0
+    sys.modules.pop("extra_term")
+    capsys.readouterr()
+    assert main(["impact", f"{tmp_path}/log"]) == 2
+    assert "extra_term:nothing" in capsys.readouterr().err
+    assert "extra_term" not in sys.modules
+    assert main(["impact", f"{tmp_path}/log", "--trust", "--quiet"]) == 0
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

@@ -160,6 +160,24 @@ def test_what_is_not_a_receipt_is_one_report(
     assert sentence in said and len(said.splitlines()) == 1
 
 
+def test_a_policy_that_is_code_is_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    code = "from pathlib import Path\n\ndef act(obs, env):\n    Path('ran').touch()\n"
+    (tmp_path / "coded.py").write_text(code + "    return env.action_space.sample() * 0\n")
+    words = ("task=cart_pole", "episodes=2", "num_envs=2", "quiet=true")
+    assert main(["eval", "coded:act", *words, f"hydra.run.dir={tmp_path}/e"]) in (0, 2)
+    runs = [*tmp_path.glob("e/receipt.json"), *tmp_path.glob("outputs/2*/*/receipt.json")]
+    (receipt,) = runs
+    (tmp_path / "ran").unlink()
+    status, report = verify(receipt.parent, capsys)
+    found = {finding["what"]: finding for finding in report["findings"]}
+    assert status == 1 and "the policy is code, coded:act: --trust" in found["actions"]["text"]
+    assert not (tmp_path / "ran").exists()
+
+
 def test_a_collection_has_a_receipt(tmp_path: Path, capsys: Any) -> None:
     words = ("task=push_cube", "episodes=2", "num_envs=2", "seed=1", "quiet=true")
     assert main(["collect", *words, f"hydra.run.dir={tmp_path}/demos"]) == 0

@@ -25,12 +25,14 @@ class ImpactOptions:
     Attributes:
         words: Logs, or their folders, and overrides.
         with_python: An interpreter or a virtual environment that plays the logs.
+        trust: Import modules that a task or a log's overrides name.
         quiet: Print nothing.
         json: Print the result as one JSON object.
     """
 
     words: tuple[str, ...]
     with_python: str | None
+    trust: bool
     quiet: bool
     json: bool
 
@@ -50,6 +52,7 @@ class ImpactOptions:
     metavar="VENV",
     help="Play them with this interpreter, or with that of this virtual environment.",
 )
+@click.option("--trust", is_flag=True, help="Import modules that a task or a log names.")
 def command(options: ImpactOptions) -> int:
     """Play logs again with their actions; print which episodes part, where, and by how much."""
     from embodichain.cli.proof.impact import as_row, impact_elsewhere, impact_of
@@ -60,9 +63,9 @@ def command(options: ImpactOptions) -> int:
         raise ConfigError("impact of what? Name logs: embodichain impact LOG... [KEY=VALUE]...")
     impacts: list[dict[str, Any]]
     if options.with_python is not None:
-        impacts = impact_elsewhere(Path(options.with_python), logs, overrides)
+        impacts = impact_elsewhere(Path(options.with_python), logs, overrides, trust=options.trust)
     else:
-        impacts = [asdict(impact_of(log, overrides)) for log in logs]
+        impacts = [asdict(impact_of(log, overrides, trust=options.trust)) for log in logs]
     is_same = not any(impact["parted"] or impact["flips"] for impact in impacts)
     if options.json:
         print_json({"same": is_same, "logs": impacts})
