@@ -17,7 +17,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "robots.md"
 WORDS = {
     INERTIA: "masses or inertias are repaired",
     SHELL: "a mesh without volume is taken as a shell",
-    COLOUR: "a part of its feet has no colour: the file misses it",
+    COLOUR: "the file lacks the colour of a part of its feet",
     STL: "an ASCII STL is converted",
     EMPTY: "joints whose limits are equal move without limits",
 }
