@@ -111,8 +111,8 @@ def test_validate_and_show_say_which_run_last_is(capsys):
     (trained,) = folders()
     capsys.readouterr()
     loud = [word for word in SHORT[:-1] if word != "record=none"]
-    for verb in ("validate", "show"):
-        assert main([verb, "task=cart_pole", "policy=last", *loud]) == 0
+    for words in (["validate"], ["show", "--config"]):
+        assert main([*words, "task=cart_pole", "policy=last", *loud]) == 0
         said = capsys.readouterr()
         assert f"last: {trained}\n" in said.err
-        assert verb == "validate" or f"policy: {Path(trained).resolve()}\n" in said.out
+    assert f"policy: {Path(trained).resolve()}\n" in said.out
