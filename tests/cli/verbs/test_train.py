@@ -156,7 +156,7 @@ def test_films(trained, capsys, monkeypatch):
         "importlib.util.find_spec", lambda name: None if name in absent else find_spec(name)
     )
     before = len(list(Path("outputs").rglob("checkpoints")))
-    assert main(["train", *TINY, "video=true"]) == 2
+    assert main(["train", *TINY, "video.format=mp4"]) == 2
     assert "pip install 'embodichain[video]'" in capsys.readouterr().err
     assert len(list(Path("outputs").rglob("checkpoints"))) == before
 
