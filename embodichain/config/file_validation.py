@@ -9,15 +9,18 @@ import yaml
 
 from embodichain.compat.gym_config.file import is_gym_config, read_gym_config
 from embodichain.config.checks.validation import check_tree
-from embodichain.config.composition.composed import Composed, compose
+from embodichain.config.composition.composed import Composed, compose, list_options
 from embodichain.config.composition.gym_config import load_gym_config, override_of
-from embodichain.config.composition.hydra_loader import explain_yaml
+from embodichain.config.composition.hydra_loader import explain_yaml, user_configs
 from embodichain.config.composition.locate import ConfigFile, Locator, display_path
+from embodichain.config.composition.study_files import STUDY_GROUP, SUITE_GROUP, tasks_of_suite
 from embodichain.config.keys.schema import JobVerb
 from embodichain.config.resolved import Checked, Resolved, check_config, compile_scene_of
+from embodichain.config.study import check_jobs, resolve_study
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean, listing
 
-__all__ = ["checked_file", "notes_on_file", "resolve_file", "validate_file"]
+__all__ = ["checked_file", "is_of_study", "notes_on_file", "resolve_file", "validate_file"]
 
 _GROUPS = ("task", "scene", "variation", "sim", "record", "viewer", "algo", "experiment")
 _ANY_TASK = "task=random_reach"
@@ -33,10 +36,39 @@ def validate_file(path: str | Path, verb: JobVerb = "run") -> list[Problem]:
         verb: The verb for which the task's suggestions are used.
     """
     try:
-        compile_scene_of(resolve_file(path, verb))
+        if is_of_study(path):
+            _check_study_file(Path(path))
+        else:
+            compile_scene_of(resolve_file(path, verb))
     except ConfigError as error:
         return list(error.problems)
     return []
+
+
+def is_of_study(path: str | Path) -> bool:
+    """Whether a file is a study or a suite, by its folder: it has tasks, and is not one."""
+    return Path(path).resolve().parent.name in (STUDY_GROUP, SUITE_GROUP)
+
+
+def _check_study_file(path: Path) -> None:
+    """Check a study with every stage of its jobs, or the tasks of a suite.
+
+    Raises:
+        ConfigError: There is no such file, or it has mistakes.
+    """
+    if not path.is_file():
+        raise ConfigError([Problem("", f"no such file: {path}")])
+    group = path.resolve().parent
+    with user_configs(group.parent):
+        if group.name == STUDY_GROUP:
+            check_jobs(resolve_study(path.stem))
+            return
+        known_tasks = list_options("task")
+        for task in tasks_of_suite(path.stem):
+            if task not in known_tasks:
+                message = f"there is no task {task!r}; there are: {listing(known_tasks, task)}."
+                hint = did_you_mean(task, known_tasks).strip()
+                raise ConfigError([Problem("tasks", message, hint, display_path(path))])
 
 
 def resolve_file(path: str | Path, verb: JobVerb = "run") -> Resolved:

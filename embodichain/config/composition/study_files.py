@@ -29,7 +29,7 @@ from embodichain.config.composition.locate import COMMAND_LINE, ConfigFile, Loca
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
-__all__ = ["STUDY_GROUP", "ComposedStudy", "compose_study", "list_studies", "tasks_of_suite"]
+__all__ = ["STUDY_GROUP", "SUITE_GROUP", "ComposedStudy", "compose_study", "tasks_of_suite"]
 
 STUDY_GROUP = "study"
 SUITE_GROUP = "suite"
@@ -53,12 +53,6 @@ class ComposedStudy:
     tree: dict[str, Any]
     locator: Locator
     problems: tuple[Problem, ...]
-
-
-def list_studies() -> list[str]:
-    """Return the sorted options of the group `study`."""
-    with config_loader() as loader:
-        return list(loader.get_group_options(STUDY_GROUP))
 
 
 def compose_study(name: str, overrides: Sequence[str] = ()) -> ComposedStudy:

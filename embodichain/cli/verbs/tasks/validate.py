@@ -79,13 +79,17 @@ def command(options: ValidateOptions) -> int:
     # A composition has notes even if a check ends with an error.
     notes: list[Problem] = []
     problems: tuple[Problem, ...] = ()
+    config: Checked | None = None
     try:
-        if is_file:
+        if is_file and _is_of_study(name):
+            problems = _study_mistakes(name)
+        elif is_file:
             config = _check_file(name, _verb(options) or "run", notes)
         else:
             config = _check_overrides(split_overrides(options.words), _verb(options), notes)
-        further_notes, problems = _find_mistakes(config, notes)
-        notes += further_notes
+        if config is not None:
+            further_notes, problems = _find_mistakes(config, notes)
+            notes += further_notes
     except ConfigError as error:
         problems = error.problems
     if options.json:
@@ -118,6 +122,19 @@ def _verb(options: ValidateOptions) -> JobVerb | None:
 def _is_file_name(word: str) -> bool:
     """Whether a word names a file: by its suffix, so that a missing file is reported as missing."""
     return "=" not in word and word.endswith((".yaml", ".yml", ".json"))
+
+
+def _is_of_study(name: str) -> bool:
+    from embodichain.config.file_validation import is_of_study
+
+    return is_of_study(name)
+
+
+def _study_mistakes(name: str) -> tuple[Problem, ...]:
+    """The mistakes in the file of a study or a suite, which is not built."""
+    from embodichain.config.file_validation import validate_file
+
+    return tuple(validate_file(name))
 
 
 def _check_file(name: str, verb: JobVerb, notes: list[Problem]) -> Checked:
