@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from embodichain.config.checks.check_result import Check
 from embodichain.config.checks.compiled_scene import compile_declared
-from embodichain.config.checks.validation import Check, check_composed, check_tree
+from embodichain.config.checks.validation import check_composed, check_tree
 from embodichain.config.checks.viewer_access import access_of, take_token, without_token
 from embodichain.config.composition.composed import Composed, compose
 from embodichain.config.composition.environment import notes_of_today, taken_today

@@ -73,7 +73,7 @@ def test_actions_are_named_by_commit(repo: Path) -> None:
     """A tag can be moved to other code; the one that the commit had stands beside it."""
     files = sorted((repo / ".github" / "workflows").iterdir())
     uses = [line for f in files for line in f.read_text().splitlines() if "uses:" in line]
-    assert len(uses) == 8
+    assert len(uses) == 10
     pinned = re.compile(r" +- uses: (actions/[\w-]+)@([0-9a-f]{40})  # v\d+\.\d+\.\d+")
     matches = [pinned.fullmatch(line) for line in uses]
     assert None not in matches

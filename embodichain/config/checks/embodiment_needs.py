@@ -28,7 +28,7 @@ from embodichain.lab.sim.configs.references import FRAME_KEYS, LinksCfg
 from embodichain.utils.errors import DataNotFoundError, OutsideError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.checks.validation import Check
+    from embodichain.config.checks.check_result import Check
 
 __all__ = ["check_embodiment", "follows_from_name"]
 

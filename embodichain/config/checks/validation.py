@@ -13,13 +13,14 @@ import dataclasses
 import re
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.override_parser.types import OverrideType
 
+from embodichain.config.checks.check_result import Check
 from embodichain.config.checks.compiled_scene import compile_declared
 from embodichain.config.checks.embodiment_needs import check_embodiment
 from embodichain.config.checks.given_keys import check_given
@@ -27,7 +28,7 @@ from embodichain.config.checks.viewer_access import access_of
 from embodichain.config.composition.composed import Composed
 from embodichain.config.composition.locate import COMMAND_LINE, Locator
 from embodichain.config.composition.yaml_words import quoting
-from embodichain.config.keys.check_types import TypeCheck, check_types
+from embodichain.config.keys.check_types import check_types
 from embodichain.config.keys.schema import (
     JOB_VERBS,
     LARGEST_TRAINING_SEED,
@@ -53,7 +54,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.scene_setup.declared_scene import DeclaredScene
 
-__all__ = ["Check", "check_composed", "check_training_keys", "check_tree", "named_maps", "validate"]
+__all__ = ["check_composed", "check_training_keys", "check_tree", "named_maps", "validate"]
 
 Chosen = Callable[[str, str], bool]
 """``chosen(path, package)``: whether a key was set outside the group option at `package`."""
@@ -61,24 +62,6 @@ Chosen = Callable[[str, str], bool]
 _FLAGS = {"on": "true", "yes": "true", "off": "false", "no": "false"}
 _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
 """If such a key was pruned, references to entities may fail without being wrong."""
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """The result of checking a whole config.
-
-    Attributes:
-        problems: Every mistake; empty if there is none.
-        types: The config with the task's suggestions, as plain values and as data classes.
-        scene: The scene that the task declares, with its files read; None if the part of the config
-            with its entities has mistakes.
-        notes: Given keys that change nothing.
-    """
-
-    problems: list[Problem]
-    types: TypeCheck
-    scene: DeclaredScene | None = None
-    notes: tuple[Problem, ...] = ()
 
 
 def validate(composed: Composed, verb: JobVerb = "run") -> list[Problem]:
