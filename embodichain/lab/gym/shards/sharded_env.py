@@ -400,8 +400,8 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         states = list(saved.get("shards", {}).values())
         counts = [state["num_envs"] for state in states]
         if tuple(counts) != self.pool.counts:
-            origin = f"{len(counts)} shards of {counts}" if counts else "one process"
-            message = f"the saved state has {origin} environments, not {self.pool.counts}"
+            origin = f"shards of {counts} environments" if counts else "one process"
+            message = f"the saved state is from {origin}, not from shards of {self.pool.counts}"
             raise ConfigError([Problem("sim.shards", message)])
         self.pool.load(states)
         self.streams.load_state_dict(saved["streams"])

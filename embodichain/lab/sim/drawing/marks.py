@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from typing import Any
+from urllib.parse import quote, unquote
 
 import mujoco
 import numpy as np
@@ -57,13 +58,18 @@ class Mark:
     reached: Reached | None
 
     def as_text(self) -> str:
-        """The text that the model has."""
-        return json.dumps({"reached": None if self.reached is None else asdict(self.reached)})
+        """The text that the model has: JSON whose quotation marks are percent-encoded.
+
+        MJCF has a text with quotation marks in a CDATA section, which XML tools replace by plain
+        text, and MuJoCo reads none.
+        """
+        reached = None if self.reached is None else asdict(self.reached)
+        return quote(json.dumps({"reached": reached}), safe="{}[]:, ")
 
     @classmethod
     def of_text(cls, uid: str, text: str) -> Mark:
         """Read what `as_text` wrote."""
-        reached = json.loads(text)["reached"]
+        reached = json.loads(unquote(text))["reached"]
         return cls(uid=uid, reached=None if reached is None else Reached(**reached))
 
 

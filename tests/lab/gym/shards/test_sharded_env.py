@@ -139,7 +139,7 @@ def test_what_is_not_here_is_refused_by_name() -> None:
         with pytest.raises(Exception, match="call reset"):
             parts.step(torch.zeros(3, 1))
         one = build(0, 3)
-        with pytest.raises(embodichain.utils.errors.ConfigError, match="is of one process"):
+        with pytest.raises(embodichain.utils.errors.ConfigError, match="is from one process"):
             parts.load_state_dict(one.state_dict())
         one.close()
         parts.reset()
