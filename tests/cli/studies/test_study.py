@@ -92,6 +92,19 @@ def test_a_study_from_its_file_to_its_tables(write_study, capsys) -> None:
     assert again.out == first.out
 
 
+def test_the_shipped_study_in_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As docs/studies.md has it, with few steps and episodes."""
+    monkeypatch.chdir(tmp_path)
+    few = ("train=[total_timesteps=64,num_envs=2,algo.n_steps=16,algo.batch_size=8]", "seeds=[0]")
+    few_variations = ("evaluate.episodes=2", "~evaluate.variations.late")
+    assert main(["study", "reach_light", *few, *few_variations, ONE_BY_ONE, "--quiet"]) == 0
+    rows = episodes_of(tmp_path / "outputs/studies/reach_light")
+    assert {(row["arm"], row["variation"]) for row in rows} == {
+        *(("ppo", "clean"), ("ppo", "noisy"), ("expert", "clean"), ("expert", "noisy"))
+    }
+    assert {row["success"] for row in rows if row["arm"] == "expert"} == {"True"}
+
+
 def test_a_change_repeats_only_what_depends_on_it(write_study, capsys) -> None:
     folder = write_study("mini", MINI)
     small = ("evaluate.episodes=2", "seeds=[0]", "~arms.random", ONE_BY_ONE)

@@ -46,6 +46,7 @@ EXTRAS = {
         "sqlalchemy",
     ),
     "slurm": ("sweeps on Slurm", "submitit"),
+    "study": ("which factor breaks a policy, in studies", "statsmodels", "pyarrow"),
     "ray": ("many machines: sim.backend=ray", "ray", "cloudpickle"),
     "export": ("policies as ONNX files", "onnx", "onnxruntime"),
     "video": ("films: video=true, replay --video", "imageio-ffmpeg"),
