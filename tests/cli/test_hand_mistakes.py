@@ -57,7 +57,7 @@ CASES = {
     "an unknown finger": (
         "right_finger]}\n    against",
         "rite_finger]}\n    against",
-        "mine.yaml:38: task.sensors.fingers.of.link_names: no link of 'robot' matches "
+        "mine.yaml:39: task.sensors.fingers.of.link_names: no link of 'robot' matches "
         "'rite_finger'",
         "Did you mean 'right_finger'?",
     ),
@@ -71,7 +71,7 @@ CASES = {
     "joints that a tendon moves": (
         ", actuators: gripper/grip}",
         "}",
-        "mine.yaml:48: task.actions.gripper.params.of: joints ['gripper/left'] have no drive",
+        "mine.yaml:49: task.actions.gripper.params.of: joints ['gripper/left'] have no drive",
         "Its file's actuators move them: gripper/grip",
     ),
     "a mesh that is missing": (
