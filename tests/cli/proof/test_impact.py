@@ -83,7 +83,8 @@ def test_what_a_log_names_is_not_imported(
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "extra_term.py").write_text(
-        "import torch\n\ndef nothing(env, obs, action, info):\n    return torch.zeros(env.num_envs)\n"
+        "import torch\n\ndef nothing(env, obs, action, info):\n"
+        "    return torch.zeros(env.num_envs)\n"
     )
     reward = "+task.rewards.more={func: 'extra_term:nothing', weight: 1}"
     words = ("task=cart_pole", reward, "max_steps=5", "quiet=true", "scene_png=false")

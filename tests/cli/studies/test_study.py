@@ -37,6 +37,7 @@ evaluate: {episodes: 4}
 compare: {metrics: [return]}
 """
 ONE_BY_ONE = "hydra/launcher=basic"
+UNRECORDED = "evaluate.record=false"  # no log, so no pictures and films of failed episodes
 
 
 @pytest.fixture
@@ -107,7 +108,7 @@ def test_the_shipped_study_in_small(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_a_change_repeats_only_what_depends_on_it(write_study, capsys) -> None:
     folder = write_study("mini", MINI)
-    small = ("evaluate.episodes=2", "seeds=[0]", "~arms.random", ONE_BY_ONE)
+    small = ("evaluate.episodes=2", "seeds=[0]", "~arms.random", UNRECORDED, ONE_BY_ONE)
     assert main(["study", "mini", *small]) == 0
     capsys.readouterr()
     assert main(["study", "mini", *small, "evaluate.variations.noisy.noise=1"]) == 0
@@ -139,7 +140,7 @@ def test_arms_with_one_seed_begin_in_the_same_states(write_study) -> None:
 def test_arms_with_other_scenes_are_not_paired(write_study, capsys) -> None:
     text = MINI.replace("random: {policy: random}", "heavy: {policy: zero, evaluate: [HEAVY]}")
     write_study("mini", text.replace("HEAVY", "'task.physics.gravity=[0,0,-3]'"))
-    assert main(["study", "mini", "seeds=[0]", "evaluate.episodes=2", ONE_BY_ONE]) == 0
+    assert main(["study", "mini", "seeds=[0]", "evaluate.episodes=2", UNRECORDED, ONE_BY_ONE]) == 0
     assert "heavy and zero are not paired on cart_pole: other" in capsys.readouterr().out
 
 
@@ -147,7 +148,7 @@ def test_a_job_that_fails_does_not_stop_the_others(write_study, capsys) -> None:
     text = MINI.replace("random: {policy: random}", "broken: {policy: 'broken_policy:act'}")
     folder = write_study("mini", text)
     Path("broken_policy.py").write_text("def act(obs, env):\n    raise RuntimeError('no arm')\n")
-    assert main(["study", "mini", "seeds=[0]", ONE_BY_ONE]) == 1
+    assert main(["study", "mini", "seeds=[0]", UNRECORDED, ONE_BY_ONE]) == 1
     said = capsys.readouterr()
     assert "broken-cart_pole-0: eval-clean failed: " in said.err and "no arm" in said.err
     assert "1 of 2 jobs failed; the same command runs them again" in said.err
@@ -157,11 +158,11 @@ def test_a_job_that_fails_does_not_stop_the_others(write_study, capsys) -> None:
 
 def test_jobs_of_workers_are_those_of_one_process(write_study) -> None:
     folder = write_study("mini", MINI)
-    assert main(["study", "mini", ONE_BY_ONE]) == 0
+    assert main(["study", "mini", UNRECORDED, ONE_BY_ONE]) == 0
     alone = (folder / "episodes.csv").read_bytes()
     folder.rename(folder.with_name("alone"))
     workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
-    assert main(["study", "mini", *workers, "--quiet"]) == 0
+    assert main(["study", "mini", UNRECORDED, *workers, "--quiet"]) == 0
     assert (folder / "episodes.csv").read_bytes() == alone
 
 
@@ -169,7 +170,7 @@ def test_a_study_that_is_killed_five_times_ends_with_the_same_table(
     write_study, commands: Commands, tmp_path: Path
 ) -> None:
     folder = write_study("small", TRAINED)
-    arguments = ("study", "small", ONE_BY_ONE, "--quiet")
+    arguments = ("study", "small", UNRECORDED, ONE_BY_ONE, "--quiet")
     assert commands.run(*arguments, cwd=tmp_path).returncode == 0
     whole = (folder / "episodes.csv").read_bytes()
     folder.rename(folder.with_name("whole"))
