@@ -178,7 +178,7 @@ def test_doctor_begins_with_what_does_not_work(
     assert out.startswith("this machine: ready\n")
     assert "missing" not in out and "pip install" not in out
     (absent,) = [line for line in out.splitlines() if line.startswith("optional, not installed:")]
-    assert absent == "optional, not installed: plot, export, parquet, lerobot"
+    assert absent == "optional, not installed: plot, study, export, parquet, lerobot"
     assert main(["doctor", "--extras"]) == 0
     words = capsys.readouterr().out.split()
     assert "'embodichain[plot]'" in words
