@@ -53,8 +53,8 @@ class StudyEvaluationCfg:
     """How each trained policy, or policy without training, is evaluated."""
 
     episodes: PositiveInt = 100
-    """Episodes for each arm, task, seed and variation. Each is the first of an environment of its
-    own, so that two arms with the same seed begin in the same states."""
+    """Episodes for each arm, task, seed and variation. Each is the first episode of its
+    environment, so that two arms with the same seed begin in the same states."""
     variations: Annotated[dict[Name, dict[str, Strength]], Field(min_length=1)] = {"clean": {}}
     """Name -> the variations of the group `variation` that are on, with their strengths."""
     overrides: list[str] = []

@@ -256,21 +256,12 @@ def test_a_search_is_frozen_before_the_evaluations(write_study, capsys) -> None:
         "{algo.learning_rate: 'interval(1e-4,1e-2)'}}}}",
     )
     folder = write_study("search", text)
+    few = "train=[num_envs=4,total_timesteps=64,eval.episodes=2]"
+    search = ["study", "search", UNRECORDED, ONE_BY_ONE, "--quiet", few]
     assert main(["study", "search", "--dry-run", "--json"]) == 0
     (job,) = json.loads(capsys.readouterr().out)["jobs"]
     assert job["left"] == "search, train, eval-clean"
-    assert (
-        main(
-            [
-                "study",
-                "search",
-                ONE_BY_ONE,
-                "--quiet",
-                "train=[num_envs=4,total_timesteps=64,eval.episodes=2]",
-            ]
-        )
-        == 0
-    )
+    assert main(search) == 0
     (chosen,) = (folder / "search" / "ppo-cart_pole" / "chosen.yaml").read_text().splitlines()
     assert chosen.startswith("- algo.learning_rate=")
     config = (folder / "jobs/ppo-cart_pole-0/train/config.yaml").read_text()
@@ -278,16 +269,5 @@ def test_a_search_is_frozen_before_the_evaluations(write_study, capsys) -> None:
     trials = list((folder / "search/ppo-cart_pole").glob("*/summary.json"))
     assert {json.loads(path.read_text())["seed"] for path in trials} == {1}  # no result's seed
     capsys.readouterr()
-    assert (
-        main(
-            [
-                "study",
-                "search",
-                ONE_BY_ONE,
-                "--quiet",
-                "train=[num_envs=4,total_timesteps=64,eval.episodes=2]",
-            ]
-        )
-        == 0
-    )
+    assert main(search) == 0
     assert len(list((folder / "search/ppo-cart_pole").glob("*/summary.json"))) == len(trials)
