@@ -93,7 +93,7 @@ class Job:
         compiled_scene: Its scene, for every environment of the job; None if a class adds to it.
         folder: The run folder, not shared with other runs.
         stop: Set by a signal; the job then ends after the current control step.
-        in_sweep: Whether it is one of the jobs of a sweep, which wait for nobody.
+        in_sweep: Whether it is a job of a sweep: its viewer does not wait for a browser.
         began: Set by `begin`: all is built, and the folder stays.
     """
 

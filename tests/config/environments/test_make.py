@@ -21,6 +21,7 @@ from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.utils.registration import register_env
 from embodichain.utils.errors import ConfigError
 from tests.config.conftest import WriteTask
+from tests.helpers.code_blocks import run_forked
 
 
 def test_make(write_task: WriteTask) -> None:
@@ -102,12 +103,15 @@ def test_an_argument_that_it_does_not_take(argument: dict[str, Any], message: st
 
 
 @pytest.mark.parametrize("text", [embodichain.__doc__, embodichain.make.__doc__])
-def test_the_help_has_a_loop_that_runs(text: str) -> None:
+def test_the_help_has_a_loop_that_runs(text: str, tmp_path: Path) -> None:
     block = inspect.cleandoc(text).partition("::\n\n")[2]
     lines = itertools.takewhile(
         lambda line: not line.strip() or line.startswith("    "), block.splitlines()
     )
-    exec(textwrap.dedent("\n".join(lines)), {})
+    folder = tmp_path / "loop"
+    folder.mkdir()
+    status, printed = run_forked(textwrap.dedent("\n".join(lines)), folder)
+    assert status == 0, printed
 
 
 def test_what_exists_is_listed_and_found() -> None:
