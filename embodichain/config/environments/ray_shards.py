@@ -10,7 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from embodichain.config.keys.schema import RayCfg
@@ -90,6 +90,7 @@ class ShardBuilder:
         kwargs: Arguments of the environment's class.
         folder: The working directory, for relative paths in the config.
         paths: Folders where Python finds the user's modules.
+        varied: Key paths of the config that variations have set.
     """
 
     tree: Mapping[str, Any]
@@ -97,6 +98,7 @@ class ShardBuilder:
     kwargs: dict[str, Any] = field(default_factory=dict)
     folder: str = ""
     paths: tuple[str, ...] = ()
+    varied: frozenset[str] = frozenset()
 
     def __call__(self) -> BaseEnv:
         """Build the environments.
@@ -110,6 +112,7 @@ class ShardBuilder:
         where = f"the config of environments {self.tree['sim']['first_env']} and on"
         name = self.task_name
         resolved = resolve_tree(self.tree, where, "run", task_name=name, allow_import=True)
+        resolved = replace(resolved, varied=self.varied)
         return build_env(resolved, compile_scene_of(resolved), **self.kwargs)
 
 
@@ -377,6 +380,7 @@ def make_sharded(
             kwargs=rest,
             folder=os.getcwd(),
             paths=paths,
+            varied=resolved.varied,
         )
         builders.append(builder)
     source = RayShards(builders, sim.ray.cpus, sim.ray.address)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
@@ -72,7 +73,7 @@ def config_of(log: RecordedLog) -> Resolved:
     resolved = resolve_tree(as_reader(tree), source, "run", task_name=log.task)
     for note in notes_of_today(resolved.tree):
         _log.warning("%s", note)
-    return with_arrays(resolved, "host")
+    return with_arrays(replace(resolved, varied=log.varied), "host")
 
 
 class Step(NamedTuple):

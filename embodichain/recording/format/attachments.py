@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from embodichain.recording.format.seals import digest_of
 __all__ = [
     "MODEL",
     "SCENE",
+    "VARIED",
     "Attachment",
     "approximate_model",
     "attachments_of",
@@ -49,6 +50,8 @@ MODEL = "model.mjb.zst"
 """Name of the attachment with the compiled model, compressed by zstd."""
 SCENE = "scene.mjz"
 """Name of the attachment with the scene's XML and its files, an archive."""
+VARIED = "varied.yaml"
+"""Name of the attachment with the key paths that variations have set; only where they have."""
 
 _EXPORTED = {"qpos", "qvel", "mocap_pos", "mocap_quat", "ctrl"}
 """Components that are drawn or exported, or have column names from the model."""
@@ -122,6 +125,7 @@ def attachments_of(
     config: str,
     overrides: str | Sequence[str],
     layout: Mapping[str, Any],
+    varied: Collection[str] = (),
 ) -> list[Attachment]:
     """Every attachment of a log.
 
@@ -131,6 +135,7 @@ def attachments_of(
         config: The resolved config as YAML text.
         overrides: Overrides of the command line, a list or YAML text.
         layout: The viewers' layout.
+        varied: Key paths of the config that variations have set.
     """
     if not isinstance(overrides, str):
         overrides = yaml.safe_dump(list(overrides), allow_unicode=True)
@@ -149,6 +154,9 @@ def attachments_of(
     ]
     if spec is not None:
         attachments.insert(1, (SCENE, "application/zip", scene_archive(spec)))
+    if varied:
+        paths = yaml.safe_dump(sorted(varied), allow_unicode=True)
+        attachments.append((VARIED, "application/yaml", paths.encode()))
     return attachments
 
 

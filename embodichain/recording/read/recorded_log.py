@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from embodichain.recording.format.attachments import (
     MODEL,
+    VARIED,
     approximate_model,
     exact_model,
     model_to_simulate,
@@ -159,6 +160,23 @@ class RecordedLog:
         except yaml.YAMLError as error:
             raise LogError(f"{self.path}: config.yaml is damaged: {error}") from error
         return tree or {}
+
+    @cached_property
+    def varied(self) -> frozenset[str]:
+        """Key paths of the config that variations have set.
+
+        Raises:
+            LogError: If the attachment that lists them is damaged.
+        """
+        if VARIED not in self.attachments:
+            return frozenset()
+        try:
+            paths = yaml.safe_load(self.attachment(VARIED).decode())
+        except (UnicodeDecodeError, yaml.YAMLError) as error:
+            raise LogError(f"{self.path}: {VARIED} is damaged: {error}") from error
+        if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
+            raise LogError(f"{self.path}: {VARIED} is damaged: it is not a list of key paths")
+        return frozenset(paths)
 
     @cached_property
     def config(self) -> dict[str, Any]:

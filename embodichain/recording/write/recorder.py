@@ -185,7 +185,14 @@ class McapRecorder(StepObserver):
             self._draws = EpisodeDraws(env.num_envs, getattr(env, "startup_draws", None))
 
         layout = foxglove_layout(env, options.view_envs, _image_topics(env, options))
-        attachments = attachments_of(mjb, env.sim.scene.spec, config, overrides, layout)
+        attachments = attachments_of(
+            mjb,
+            env.sim.scene.spec,
+            config=config,
+            overrides=overrides,
+            layout=layout,
+            varied=_varied_keys(env),
+        )
         self._log = LogWriter(
             self._path,
             compression=options.compression,
@@ -482,6 +489,12 @@ def _checked_quota(quota: Sequence[int] | None, num_envs: int) -> tuple[int, ...
     if len(quota) not in (0, num_envs):
         raise ValueError(f"quota has {len(quota)} numbers for {num_envs} environments")
     return tuple(int(count) for count in quota)
+
+
+def _varied_keys(env: ObservedEnv) -> frozenset[str]:
+    """Key paths of the task that variations have set; none where a class made the config itself."""
+    sources = getattr(getattr(env, "cfg", None), "key_sources", None)
+    return frozenset() if sources is None else sources.varied
 
 
 def _image_topics(env: ObservedEnv, options: RecordOptions) -> list[str]:

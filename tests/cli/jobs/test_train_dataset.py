@@ -73,3 +73,19 @@ def test_data_sets_that_do_not_fit(demonstrations, tmp_path, capsys):
     assert main(["train", *words]) == 2
     assert "none of its 3 episodes succeeded" in capsys.readouterr().err
     assert sorted(Path(failed).iterdir()) == before
+
+
+def test_a_log_under_variations_is_cloned(tmp_path, capsys):
+    varied = [*HOLD, "variation=mass", "task.variations.mass.strength=0.1"]
+    assert main(["run", *varied, "scene_png=false", "-q", f"output_dir={tmp_path}"]) == 0
+    given = f"dataset={newest(tmp_path)}"
+    capsys.readouterr()
+    assert main(["validate", "--train", *HOLD, *BC, given]) == 0, capsys.readouterr().err
+    assert "variations change what was in recording: task.events.robot_mass_" in (
+        capsys.readouterr().err
+    )
+    assert main(["validate", "--train", *varied, *BC, given]) == 0
+    assert "variations change" not in capsys.readouterr().err
+    changed = [word.replace("=8", "=9") for word in HOLD]
+    (mistake,) = mistakes(capsys, "validate", "--train", *changed, *BC, given)
+    assert "max_episode_steps 8 -> 9" in mistake[1]

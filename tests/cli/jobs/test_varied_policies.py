@@ -98,7 +98,7 @@ def test_policies_that_ship_take_variations(capsys: pytest.CaptureFixture[str]) 
         capsys, "pretrained", "task=press_button", "variation=[clutter,friction]"
     )
     assert "body clutter_can none -> here" in found["changed"]
-    assert "variations change what was in training: body clutter_can" in err
+    assert "variations change what was in training: task.actions.arm.delay" in err
     assert "changed since training" not in err
 
 
@@ -168,3 +168,37 @@ def test_a_policy_does_not_fit_another_environment(trained: Path) -> None:
             load_policy(trained, env)
     finally:
         env.close()
+
+
+def test_a_log_under_variations_is_repeated_by_a_policy(
+    trained: Path, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    task = ["task=reach", "task.max_episode_steps=12", "seed=3"]
+    run = here / "varied"
+    words = [*task, "variation=[mass,delay]", "policy=zero", "--quiet"]
+    assert main(["run", *words, f"hydra.run.dir={run}"]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(run), "--policy", str(trained)]) == 0, capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "variations change what was in training: task.actions.arm.delay" in err
+    assert MASS in err
+    # What no variation has set is refused as without variations.
+    words = [*words, "task.observations.qvel.scale=0.5"]
+    run = here / "other"
+    assert main(["run", *words, f"hydra.run.dir={run}"]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(run), "--policy", str(trained)]) == 2
+    refusal = capsys.readouterr().err
+    assert "task.observations.qvel.scale 0.1 -> 0.5" in refusal
+    assert MASS not in refusal
+
+
+def test_a_log_lists_what_variations_have_set(here: Path) -> None:
+    for words, expected in (([], frozenset()), (["variation=mass"], {MASS})):
+        env = embodichain.make("reach", overrides=words)
+        path = here / f"{len(words)}.mcap"
+        env.add_observer(embodichain.recording.McapRecorder(path, env))
+        env.close()
+        with embodichain.recording.open(path) as log:
+            assert log.varied == expected
+            assert ("varied.yaml" in log.attachments) == bool(words)

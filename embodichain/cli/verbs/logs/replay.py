@@ -22,7 +22,7 @@ from embodichain.cli.terminal.output import (
     say_warnings,
 )
 from embodichain.cli.terminal.process import Interrupted, StopFlag
-from embodichain.cli.terminal.reporting import ProgressDisplay, warn_if_public
+from embodichain.cli.terminal.reporting import ProgressDisplay, warn_if_public, warnings_on_stderr
 from embodichain.cli.verb import log_argument, verb
 from embodichain.cli.words import log_of, pair
 from embodichain.utils.errors import ConfigError
@@ -251,7 +251,8 @@ def _rerun(path: Path, policy: str, options: ReplayOptions) -> int:
         allow_changed=bool(options.allow_changed),
         trust=bool(options.trust),
     )
-    return rerun(path, repetition, quiet=options.quiet, json=options.json)
+    with warnings_on_stderr():
+        return rerun(path, repetition, quiet=options.quiet, json=options.json)
 
 
 def _inspect(path: Path, options: ReplayOptions) -> int:
