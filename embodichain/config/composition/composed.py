@@ -42,6 +42,7 @@ from embodichain.config.composition.hydra_loader import (
 from embodichain.config.composition.locate import COMMAND_LINE, ConfigFile, Locator, display_path
 from embodichain.config.composition.override_text import malformed, readable
 from embodichain.config.composition.removed_entries import remove_null_entries
+from embodichain.config.composition.unlike_values import unlike_in_files, why_not_applied
 from embodichain.config.composition.variations import merge_variations
 from embodichain.config.keys.algorithms import DEFAULT_ALGORITHM
 from embodichain.utils.errors import ConfigError, Problem
@@ -152,7 +153,9 @@ def compose(
             unspecified = [f"You must specify '{group}'" for group in parsed.broken]
             if any(text in str(error) for text in unspecified):
                 return _without_task(loader, config_name, lines, parsed, [])
-            mistakes = explain(error, loader, parsed.for_hydra)
+            mistakes = _unlike_values(error, loader.merged, loader)
+            if not mistakes:
+                mistakes = explain(error, loader, parsed.for_hydra)
             return _without_task(loader, config_name, lines, parsed, mistakes)
     choices = dict(config.hydra.runtime.choices)
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
@@ -162,7 +165,12 @@ def compose(
         return _without_task(loader, config_name, lines, parsed, [explain_yaml(error)])
     OmegaConf.set_struct(config, False)
     del config["hydra"]
-    files = [*_complete_options(config, files), *files]
+    base_files = _files_of_whole_options(config, files)
+    mistakes = unlike_in_files([*base_files, *files])
+    if mistakes:
+        return _without_task(loader, config_name, lines, parsed, mistakes)
+    _complete_options(config, base_files)
+    files = [*base_files, *files]
     if gym is not None:
         choices["task"] = gym.name
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
@@ -228,7 +236,10 @@ def compose_variations(lines: Sequence[str]) -> ChosenVariations:
         try:
             config = loader.load_configuration("run", [*lines, WITHOUT_TASK], RunMode.RUN)
         except COMPOSING as error:
-            raise ConfigError(explain(error, loader, lines)) from error
+            mistakes = _unlike_values(error, loader.merged, loader)
+            if not mistakes:
+                mistakes = explain(error, loader, lines)
+            raise ConfigError(mistakes) from error
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
     files, _ = _files(loader.merged, folders, None)
     varying = [file for file in files if file.package.startswith(f"{_VARIATIONS}.")]
@@ -390,17 +401,35 @@ _WHOLE_OPTIONS = {"sim": "default", "record": "mcap", "viewer": "none"}
 """Group -> the option of this package over which options of users are merged."""
 
 
-def _complete_options(config: DictConfig, files: Sequence[ConfigFile]) -> list[ConfigFile]:
-    """Merge users' options of groups over the package's, in place; return the files below them."""
+def _files_of_whole_options(config: DictConfig, files: Sequence[ConfigFile]) -> list[ConfigFile]:
+    """The package's options of groups over which users' options are merged."""
     own = own_folder()
     base_files: list[ConfigFile] = []
     for group, option in _WHOLE_OPTIONS.items():
         users = [f for f in files if f.package == group and not f.path.is_relative_to(own)]
         if users and isinstance(config.get(group), DictConfig):
-            path = own / group / f"{option}.yaml"
-            config[group] = OmegaConf.merge(OmegaConf.load(path), config[group])
-            base_files.append(ConfigFile.read(path, group))
+            base_files.append(ConfigFile.read(own / group / f"{option}.yaml", group))
     return base_files
+
+
+def _complete_options(config: DictConfig, base_files: Sequence[ConfigFile]) -> None:
+    """Merge users' options of groups over the package's, in place."""
+    for file in base_files:
+        config[file.package] = OmegaConf.merge(OmegaConf.load(file.path), config[file.package])
+
+
+def _unlike_values(
+    error: Exception, merged: Sequence[ResultDefault], loader: ConfigLoader
+) -> list[Problem]:
+    """The maps over lists, and lists over maps, that composing has stopped at."""
+    if "ConfigTypeError" not in str(error):
+        return []
+    folders = [folder_of_source(source.scheme(), source.path) for source in loader.get_sources()]
+    try:
+        files, _ = _files(merged, folders, None)
+    except yaml.YAMLError as malformed:
+        return [explain_yaml(malformed)]
+    return unlike_in_files(files)
 
 
 def _without_task(
@@ -636,9 +665,8 @@ def apply_values(config: DictConfig, overrides: Iterable[Override]) -> list[Prob
             OmegaConf.update(config, key, value, merge=True, force_add=True)
         except KeyError as error:
             problems.append(Problem(key, str(error.args[0]), source=COMMAND_LINE))
-        except (OmegaConfBaseException, TypeError, ValueError) as error:
-            message = f"cannot apply {override.input_line}: {str(error).splitlines()[0]}"
-            problems.append(Problem(key, message, source=COMMAND_LINE))
+        except (OmegaConfBaseException, IndexError, TypeError, ValueError) as error:
+            problems.append(why_not_applied(config, override, error))
     return problems
 
 
