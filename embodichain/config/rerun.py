@@ -16,6 +16,7 @@ import yaml
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
+from embodichain.config.checks.idle_keys import idle_keys
 from embodichain.config.composition.composed import (
     ParsedOverrides,
     apply_values,
@@ -130,7 +131,12 @@ def resolve_run(
     return dataclasses.replace(
         resolved,
         overrides=tuple(overrides),
-        notes=(*parsed.notes, *resolved.notes, *merged.notes),
+        notes=(
+            *parsed.notes,
+            *resolved.notes,
+            *merged.notes,
+            *idle_keys(resolved.root, parsed.values, "run"),
+        ),
         varied=frozenset(merged.origins),
     )
 

@@ -84,10 +84,16 @@ _UNREAD: Mapping[str, Mapping[str, str]] = {
         **_RESUMPTION,
         **_EVALUATION,
     },
-    "demo --web": dict.fromkeys(
-        ("record", "video", "scene_png", "max_steps"),
-        "a page does not read it, `embodichain demo --film` does",
-    ),
+    "demo --web": {
+        **_TRAINING,
+        **_COLLECTION,
+        **_RESUMPTION,
+        **_EVALUATION,
+        **dict.fromkeys(
+            ("record", "video", "scene_png", "max_steps"),
+            "a page does not read it, `embodichain demo --film` does",
+        ),
+    },
     "bench": {
         **_TRAINING,
         **_COLLECTION,
@@ -98,6 +104,7 @@ _UNREAD: Mapping[str, Mapping[str, str]] = {
             ("episodes", "max_steps"),
             "`bench` does not read it: it measures --rounds of a third of a second",
         ),
+        "viewer": "`bench` does not read it: it shows nothing",
     },
     "render": {
         **_TRAINING,
@@ -119,6 +126,10 @@ _UNREAD: Mapping[str, Mapping[str, str]] = {
         **_RUN,
         "policy": "`{verb}` does not read it: name the training alone, `embodichain {verb} RUN`",
         "viewer": "`{verb}` does not read it: it writes a file",
+        **dict.fromkeys(
+            ("num_envs", "seed"),
+            "`{verb}` does not read it: a file of a policy has none",
+        ),
     },
 }
 """Verb -> root key, and why it has no effect."""

@@ -24,6 +24,7 @@ from embodichain.config.checks.check_result import Check
 from embodichain.config.checks.compiled_scene import compile_declared
 from embodichain.config.checks.embodiment_needs import check_embodiment
 from embodichain.config.checks.given_keys import check_given
+from embodichain.config.checks.idle_keys import idle_keys
 from embodichain.config.checks.viewer_access import access_of
 from embodichain.config.composition.composed import Composed
 from embodichain.config.composition.locate import COMMAND_LINE, Locator
@@ -115,7 +116,10 @@ def _check_without_needs(composed: Composed, verb: JobVerb) -> Check:
     causes = [p for p in _causes(check.problems) if p.path not in misread_numbers]
     problems = [*composed.problems, *_located(unknown, composed.source)]
     problems += [_advised(problem, locator) for problem in causes]
-    return replace(check, problems=problems)
+    notes = check.notes
+    if check.types.root is not None:
+        notes = (*notes, *idle_keys(check.types.root, locator.overrides, verb))
+    return replace(check, problems=problems, notes=notes)
 
 
 def check_tree(

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from embodichain.config.environments.host_arrays import why_host, why_not_device, with_arrays
+from embodichain.config.environments.unread_overrides import refuse_unread_overrides
 from embodichain.config.gymnasium_ids import task_of_id
 from embodichain.config.resolved import (
     Resolved,
@@ -87,7 +88,7 @@ def make(
         environment with numpy observations of the same task, `gymnasium.make_vec` a batch of them.
 
     Raises:
-        ConfigError: Lists every mistake in the config.
+        ConfigError: Lists every mistake in the config, and the overrides that only verbs read.
         DeviceError: There is no such device here; says why.
         TypeError: If `overrides` is one string instead of several, or an argument is unknown.
     """
@@ -113,6 +114,7 @@ def make(
     except ConfigError:
         _check_name(task, config_dir)
         raise
+    refuse_unread_overrides(overrides, resolved.root.viewer.name)
     for note in resolved.notes:
         _log.warning("%s", note)
     compiled_scene = compile_scene_of(resolved)

@@ -29,6 +29,8 @@ pytestmark = pytest.mark.slow
         ("render task=reach a.png max_steps=9", "max_steps: `render` does not read it: it draws"),
         ("render task=reach a.png viewer=web", "viewer: `render` does not read it"),
         ("render task=reach a.png video=true", "video: `render` does not read it"),
+        ("bench task=reach viewer=web", "viewer: `bench` does not read it: it shows nothing"),
+        ("demo reach --web algo=sac", "algo: `demo` does not read it: a policy is played"),
         ("demo reach --film collect.wait_steps=9", "collect.wait_steps: `demo` does not read it"),
         ("demo reach --web record=mcap", "record: a page does not read it, `embodichain demo"),
         ("validate --train task=reach max_steps=9", "max_steps: `train` does not read it"),
