@@ -21,6 +21,7 @@ from embodichain.config.composition.environment import as_reader, notes_of_today
 from embodichain.config.environments.factory import make_env
 from embodichain.config.environments.host_arrays import with_arrays
 from embodichain.config.resolved import resolve_tree
+from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.utils.errors import ConfigError
 
@@ -96,6 +97,7 @@ class RobomimicEnv:
         """
         if mode != "rgb_array":
             raise NotImplementedError(f"mode {mode!r}; there is rgb_array")
+        require_open(self._env.env.is_closed)
         return self._env.env.sim.render(0)
 
     def close(self) -> None:

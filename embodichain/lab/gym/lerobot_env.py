@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import NO_LIMIT
+from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.observation import entry_spaces
 from embodichain.lab.gym.observed_images import camera_uids, observed_images, rgb
 from embodichain.lab.gym.vector import NumpyVectorEnv
@@ -210,12 +211,14 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
 
     def render(self) -> Any:
         """Tuple of one (480, 640, 3) RGB picture per environment; None unless ``rgb_array``."""
+        require_open(self._batch.env.is_closed)
         if self.render_mode != "rgb_array":  # LeRobot asks all environments for pictures
             return None
         return self._batch.render()
 
     def render_one(self, index: int) -> NDArray[np.uint8] | None:
         """(480, 640, 3) RGB of one environment; None unless ``rgb_array``."""
+        require_open(self._batch.env.is_closed)
         if self.render_mode != "rgb_array":
             return None
         return self._batch.env.sim.render(index)

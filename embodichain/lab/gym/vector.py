@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.describing import describe, warn_undrawn
 from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.gym.envs.observation import numpy_obs
@@ -148,6 +149,7 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One image per environment, (480, 640, 3) RGB; None, with a warning, without a mode."""
+        require_open(self.env.is_closed)
         if self.render_mode != "rgb_array":
             warn_undrawn(self.env.task_name)
             return None

@@ -19,6 +19,7 @@ from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
+from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.observation import as_array, on_host
 from embodichain.lab.gym.envs.step.step_result import none_set
 from embodichain.learning.spaces import (
@@ -172,6 +173,7 @@ class SB3VecEnv(VecEnv):
         Raises:
             ValueError: If the shape is wrong.
         """
+        require_open(self.base.is_closed)
         self._action = self._scale(actions)
 
     def step_wait(self) -> tuple[Observed, F32, Bool, Infos]:
@@ -286,12 +288,18 @@ class SB3VecEnv(VecEnv):
         """Close the environment."""
         self.env.close()
 
+    def render(self, mode: str | None = None) -> NDArray[np.uint8] | None:
+        """Return one picture of all environments side by side; None without ``render_mode``."""
+        require_open(self.base.is_closed)
+        return super().render(mode)
+
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """Return a picture (H, W, 3) of each environment; None without ``render_mode``.
 
         Raises:
             RenderError: If no OpenGL library works; names the package to install.
         """
+        require_open(self.base.is_closed)
         if self.render_mode != "rgb_array":
             return [None] * self.num_envs
         return list(self.base.sim.render(None))

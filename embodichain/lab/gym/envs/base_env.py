@@ -890,6 +890,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         Returns:
             Batch size N; ``obs["robot"]`` has ``qpos``, ``qvel``, ``qf``, (N, A) float32 each.
         """
+        require_open(self._closed)
         sensors: Mapping[str, Any] = {}
         if self.observes_sensors:
             sensors = self._get_sensor_obs(**kwargs)
@@ -1065,6 +1066,11 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             for observer in reversed(self.observers):
                 stack.callback(observer.on_close, self)
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether `close` was called: what needs the simulation then raises Gymnasium's error."""
+        return self._closed
+
     def __repr__(self) -> str:
         """Return class, task, size and spaces in one line."""
         return describe(
@@ -1098,6 +1104,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     @property
     def revision(self) -> tuple[int, ...]:
         """Numbers that change when a step is computed in another way: limit, terms, model."""
+        require_open(self._closed)
         return (
             self.episodes.limit,
             getattr(self.sim.engine, "revision", 0),
@@ -1139,6 +1146,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     @max_episode_steps.setter
     def max_episode_steps(self, steps: int) -> None:
+        require_open(self._closed)
         if steps < 1 and steps != -1:
             raise ValueError(f"max_episode_steps must be at least 1, or -1 for never, got {steps}")
         limit = NO_LIMIT if steps == -1 else min(int(steps), NO_LIMIT)
@@ -1157,6 +1165,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     @elapsed_steps.setter
     def elapsed_steps(self, steps: torch.Tensor) -> None:
+        require_open(self._closed)
         values = torch.as_tensor(steps)
         elapsed = self.episodes.elapsed
         if values.shape != elapsed.shape:
@@ -1189,6 +1198,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         Args:
             env_ids: (n,) which of the N.
         """
+        require_open(self._closed)
         self.episodes.truncate(env_ids)
 
     # -- random numbers ------------------------------------------------------------------------
@@ -1273,6 +1283,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         Raises:
             ValueError: If an entity does not exist; lists those that do.
         """
+        require_open(self._closed)
         unknown = [uid for uid in uids if uid not in self.sim.asset_uids]
         if unknown:
             raise ValueError(f"no entities {unknown}; there are: {self.sim.asset_uids}")
@@ -1356,6 +1367,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     def remove_observer(self, observer: StepObserver) -> None:
         """Detach an observer; ValueError if it is not attached."""
+        require_open(self._closed)
         attached: StepObserver = observer
         if self.copies is not None:
             self.copies.flush()
@@ -1377,6 +1389,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         drawn: Mapping[str, NDArray[Any]] | None = None,
     ) -> None:
         """Report to observers that a term fired and what it drew."""
+        require_open(self._closed)
         if self.observers:
             # On a device the only observer is `StepCopies`, which takes masks.
             ids = cast("EnvIds | None", env_ids)

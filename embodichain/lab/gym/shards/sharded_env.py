@@ -426,6 +426,11 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
 
     __str__ = __repr__
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._closed
+
     def close(self) -> None:
         """Close the shards, then the template."""
         if not self._closed:

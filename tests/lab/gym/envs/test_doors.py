@@ -1,6 +1,7 @@
 """What an environment says after `close`, in a forked process, and when it is copied."""
 
 import copy
+import inspect
 import os
 import pickle
 import signal
@@ -15,7 +16,10 @@ import torch
 from gymnasium.error import ClosedEnvironmentError
 
 import embodichain
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.learning import SB3VecEnv
+from embodichain.utils.errors import ConfigError
 from tests.helpers.local_shards import sharded
 
 THREADS = ["sim.num_threads=2"]
@@ -53,8 +57,11 @@ def test_a_closed_environment_says_so(door):
     env, action, batch = door()
     env.reset()
     state = batch.state_dict()
+    observer = StepObserver()
+    batch.add_observer(observer)
     env.close()
     env.close()
+    assert batch.is_closed
     uses = [
         lambda: env.step(action),
         lambda: env.reset(),
@@ -68,10 +75,88 @@ def test_a_closed_environment_says_so(door):
         lambda: batch.scene_entity({"uid": "cart"}),
         lambda: batch.add_observer(object()),
         lambda: batch.hold_curriculum(),
+        lambda: batch.truncate([0]),
+        lambda: batch.get_obs(),
+        lambda: batch.remove_observer(observer),
+        lambda: batch.log_event("push", "interval", None),
+        lambda: batch.add_detached_uids_for_reset(["cart"]),
+        lambda: setattr(batch, "max_episode_steps", 9),
+        lambda: setattr(batch, "elapsed_steps", torch.zeros(batch.num_envs)),
+        lambda: batch.revision,
+        lambda: env.render(),
     ]
     for use in uses:
         with pytest.raises(ClosedEnvironmentError, match="the environment was closed"):
             use()
+    # Numbers that do not need the simulation stay.
+    assert batch.elapsed_steps.tolist() == [0] * batch.num_envs
+    assert batch.curriculum_stage()["control_step"] == 0
+
+
+NEED_NOTHING = {
+    "close",
+    "add_camera_group_id",  # has no effect
+    "get_sensor",
+    "set_affordance",
+    "get_affordance",
+    "is_task_success",
+    "curriculum_stage",
+    "rand",
+    "randn",
+    "read_last_action",
+    "read_elapsed_steps",
+    # Hooks of a subclass.
+    "get_info",
+    "compute_task_state",
+    "evaluate",
+    "get_reward",
+    "check_truncated",
+}
+"""Methods that work after `close`."""
+
+
+def test_every_method_works_after_close_or_says_so():
+    env = cart_pole()
+    obs, info = env.reset()
+    action = torch.zeros(2, 1)
+    arguments = {
+        "step": (action,),
+        "step_arrays": (action,),
+        "reseed": (1,),
+        "restore": (None,),
+        "load_state_dict": ({},),
+        "scene_entity": ({"uid": "cart"},),
+        "add_observer": (StepObserver(),),
+        "remove_observer": (StepObserver(),),
+        "log_event": ("push", "reset", None),
+        "truncate": ([0],),
+        "add_detached_uids_for_reset": (["cart"],),
+        "get_sensor": ("camera",),
+        "rand": ("mine",),
+        "randn": ("mine",),
+        "get_reward": (obs, action, info),
+        "check_truncated": (obs, info),
+        "set_affordance": ("grasp", 1),
+        "get_affordance": ("grasp",),
+        "add_camera_group_id": (1,),
+    }
+    env.close()
+    names = [
+        name
+        for name, value in vars(BaseEnv).items()
+        if inspect.isfunction(value) and not name.startswith("_")
+    ]
+    assert {"truncate", "step", "reset"} <= set(names)
+    for name in names:
+        options = {"startup": False} if name == "reseed" else {}
+        try:
+            getattr(env, name)(*arguments.get(name, ()), **options)
+        except ClosedEnvironmentError:
+            assert name not in NEED_NOTHING
+        except ConfigError:
+            assert name == "get_sensor"  # there is none of this name
+        else:
+            assert name in NEED_NOTHING, name
 
 
 def test_a_closed_batch_in_shards_says_so():
