@@ -95,6 +95,7 @@ class Job:
         stop: Set by a signal; the job then ends after the current control step.
         in_sweep: Whether it is a job of a sweep: its viewer does not wait for a browser.
         began: Set by `begin`: all is built, and the folder stays.
+        announced: Set by `announce`: the folder was printed.
     """
 
     resolved: Resolved
@@ -103,11 +104,19 @@ class Job:
     stop: StopFlag
     in_sweep: bool = False
     began: threading.Event = field(default_factory=threading.Event)
+    announced: threading.Event = field(default_factory=threading.Event)
 
     def begin(self) -> None:
         """Declare that all is built: from now on the folder stays, whatever happens."""
+        self.announce()
         self.began.set()
         end_startup()
+
+    def announce(self) -> None:
+        """Print where the job writes, once. A job that is refused has no folder."""
+        if not self.announced.is_set() and not self.quiet:
+            sys.stderr.write(f"{self.resolved.task_name}: {self.folder}\n")
+        self.announced.set()
 
     @property
     def root(self) -> RootCfg:
@@ -222,6 +231,7 @@ class Job:
             return shown
         note = f" ({shown.how})" if shown.how else ""
         _log.info("viewer: %s%s", shown.address, note)  # without the token, which is in the URL
+        self.announce()
         # Nobody can open the viewer without the token: a URL with one is always printed.
         if not self.quiet or shown.url != shown.address:
             sys.stderr.write(f"viewer: {shown.url}{note}\n")
@@ -437,6 +447,9 @@ def execute(
         if not job.began.is_set() and undo_claim is not None:
             undo_claim()
         raise
+    except BaseException:  # the folder stays, with a log that says what happened
+        job.announce()
+        raise
 
 
 def _claim_folder(resolved: Resolved) -> tuple[Path, Callable[[], None]]:
@@ -488,11 +501,10 @@ def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
             log.warning("%s", note)
-        if not job.quiet:
-            sys.stderr.write(f"{resolved.task_name}: {folder}\n")
         with resolved.locating():
             check_extras(job.root)
             value = work(job)
+        job.announce()  # what was finished before never began
         if stop.stopped is not None:
             message = f"interrupted ({stop.stopped}); {folder} is complete up to there"
             raise Interrupted.by(stop.stopped, message)

@@ -77,7 +77,7 @@ def _learn(job: Job) -> dict[str, Any]:
     with failure_in_summary(job, facts), dashboard as display:
 
         def progress(statistics: TrainStatistics) -> None:
-            job.began.set()
+            job.begin()
             if job.stop.is_stopped():
                 raise Interrupted
             if display.due:
