@@ -96,7 +96,10 @@ def _moment(
     control_step = first if step is None else step
     if not first <= control_step <= last + 1:
         raise ConfigError(f"no control step {step} in the log: there are {first} to {last + 1}")
-    for current in episodes:
+    for index, current in enumerate(episodes):
+        if index and control_step < current.first_step:
+            # Between two episodes is the step in which NEXT_STEP resets: the first one is over.
+            return episodes[index - 1], control_step
         if control_step <= current.last_step:
             return current, control_step
     final = episodes[-1]

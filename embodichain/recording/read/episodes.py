@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
 
 from embodichain.recording.format.log_error import DamageError
 from embodichain.recording.format.messages.schema import message_class
@@ -210,7 +211,9 @@ def _in_steps(data: LogArrays, ended: Mapping[tuple[int, int], LogEpisode]) -> I
             continue
         starts = np.concatenate([[0], np.flatnonzero(np.diff(ids)) + 1])
         lasts = np.concatenate([starts[1:], [len(ids)]]) - 1
+        is_done = data["terminated"][:, column] | data["truncated"][:, column]
         for first, last in zip(starts.tolist(), lasts.tolist(), strict=True):
+            last = _end_of_episode(is_done, first, last)
             rewards = data["rewards"][first : last + 1, column]
             episode = LogEpisode(
                 env=env,
@@ -233,3 +236,20 @@ def _in_steps(data: LogArrays, ended: Mapping[tuple[int, int], LogEpisode]) -> I
                     drawn=end.drawn,
                 )
             yield episode
+
+
+def _end_of_episode(is_done: NDArray[np.bool_], first: int, last: int) -> int:
+    """The row in which an episode ended, else its last row.
+
+    With Gymnasium's NEXT_STEP an environment is reset in the step after the end. That step has the
+    number of the episode, no reward, and is not a part of it.
+
+    Args:
+        is_done: (S,) whether the environment was done after each recorded step.
+        first: The episode's first row.
+        last: The last row with its number.
+    """
+    if is_done[last]:
+        return last
+    ends = np.flatnonzero(is_done[first:last])
+    return first + int(ends[0]) if len(ends) else last

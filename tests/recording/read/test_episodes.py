@@ -69,6 +69,35 @@ def test_every_ended_episode_is_told_of(played):
     assert list(found) == sorted(found)
 
 
+@pytest.mark.parametrize("state", ["all", "none"])
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
+def test_episodes_end_where_they_ended_in_either_mode(tmp_path, mode, state):
+    """NEXT_STEP resets in a step of its own, which is not a part of an episode."""
+    path = tmp_path / "rollout.mcap"
+    env = embodichain.make(
+        "cart_pole", 2, ["task.max_episode_steps=3"], seed=0, autoreset_mode=mode
+    )
+    env.add_observer(McapRecorder(path, env, options=RecordOptions(state=state)))
+    env.reset()
+    for _ in range(7):
+        env.step(torch.zeros(2, 1))
+    env.close()
+    with recording.open(path) as log:
+        found = [(e.first_step, e.last_step, e.truncated) for e in log.episodes if e.env == 0]
+        assert all(e.total_reward == e.steps for e in log.episodes)
+        if mode == "NextStep" and state == "all":
+            end = log.snapshot(env=0, step=3)
+            assert (end.episode, end.elapsed) == (0, 3)
+    expected = {
+        "SameStep": [(0, 2, True), (3, 5, True), (6, 6, False)],
+        "NextStep": [(0, 2, True), (4, 6, True)],
+    }[mode]
+    assert found == [end for end in expected if state == "all" or end[2]]
+    assert [(e.first_step, e.last_step) for e in recording.inspect(path).episodes if e.env == 0] == [
+        end[:2] for end in expected if end[2]
+    ]
+
+
 def test_other_libraries_read_it(played):
     path, told = played
     with path.open("rb") as stream:
