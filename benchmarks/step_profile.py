@@ -54,12 +54,13 @@ def main() -> None:
 
 
 def report(facts: dict[str, Any]) -> str:
-    """A Markdown table: parts by size."""
+    """A Markdown table: parts by size.
+
+    The parts are those of the figures, which may be older than `PARTS`.
+    """
     found = facts["microseconds"]
-    rows = [
-        [name, *(f"{parts[name]:.1f}" for parts in found.values())]
-        for name in (*PARTS, REST, WHOLE)
-    ]
+    names = dict.fromkeys(name for parts in found.values() for name in parts)
+    rows = [[name, *(f"{parts[name]:.1f}" for parts in found.values())] for name in names]
     title = f"{facts['task']}, microseconds a control step (medians):"
     return f"{title}\n\n" + table(["part", *(f"N={size}" for size in found)], rows)
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 import torch
 
+import benchmarks.__main__ as everything
 from benchmarks import arms, memory
+from benchmarks.__main__ import PAGE
 from benchmarks.arms import Arm
 from benchmarks.learners import DUMMY, LOOP, OURS, TRAIN
 from benchmarks.medians import sure
@@ -118,6 +120,17 @@ def test_step_profile_accounts_for_every_part(run, tmp_path):
     # Every part of random_reach's step is called, so a part that was renamed shows as 0.
     assert parts.pop("commands") == 0  # the task has none, and a step does not ask for them
     assert all(value > 0 for name, value in parts.items() if name != "the rest of step()")
+
+
+def test_the_page_is_written_from_the_figures_that_there_are(monkeypatch, tmp_path):
+    page = tmp_path / "performance.md"
+    page.write_text(PAGE.read_text(encoding="utf-8"), encoding="utf-8")
+    monkeypatch.setattr(everything, "PAGE", page)
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "--page"])
+    everything.main()
+    text = page.read_text(encoding="utf-8")
+    assert "| rewards | 1.0 |" in text
+    assert text == PAGE.read_text(encoding="utf-8")  # the page that is in the repository
 
 
 def test_randomization(run, tmp_path):
