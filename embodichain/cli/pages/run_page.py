@@ -32,6 +32,7 @@ from embodichain.config.composition.locate import display_path
 from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.env_text import recorded_texts, shown
 from embodichain.utils.errors import EmbodichainError
+from embodichain.utils.number_text import result_number
 
 if TYPE_CHECKING:
     from embodichain.recording.read.summary import LogSummary
@@ -237,7 +238,7 @@ def _drawn_text(drawn: Mapping[str, Sequence[float]]) -> str:
     """``place_cube.position 0.58 0.14 0.05; friction.friction 0.9``."""
     draws = []
     for name, numbers in drawn.items():
-        values = " ".join(f"{value:.4g}" for value in numbers)
+        values = " ".join(result_number(value) for value in numbers)
         draws.append(f"{name} {values}")
     return "; ".join(draws)
 

@@ -44,6 +44,7 @@ from embodichain.learning.evaluation.paired import (
 )
 from embodichain.learning.evaluation.statistics import CONFIDENCE, SeedEstimate, over_seeds
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.number_text import result_number
 from embodichain.utils.system.atomic import write_text
 
 __all__ = ["RATES", "Factors", "StudyResults", "read_results", "write_results"]
@@ -412,7 +413,7 @@ def _count(table: EpisodeTable, seed: int) -> int:
 
 
 def _value_text(metric: str, value: float) -> str:
-    return f"{value:.1%}" if metric in RATES else f"{value:.4g}"
+    return f"{value:.1%}" if metric in RATES else result_number(value)
 
 
 def _interval_text(metric: str, interval: tuple[float, float] | None) -> str:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from embodichain.utils.number_text import float_text, result_number
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -37,10 +39,6 @@ _PIPE_WIDTH = 100
 """Width of a line without a terminal."""
 _COLUMN_GAP = 3
 """Blanks that rich puts between two columns of this style of table."""
-_ROUNDED_ZERO = 1e-12
-"""Smaller values are what rounding leaves of 0, in SI units."""
-_DECIMALS = 6
-"""Decimals of a small result: in SI units, nobody acts on less."""
 
 
 def print_json(value: Mapping[str, Any]) -> None:
@@ -258,7 +256,7 @@ def number(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return _float_text(value)
+        return float_text(value)
     if isinstance(value, Mapping):
         return _nested(value)
     if isinstance(value, (list, tuple)):
@@ -274,28 +272,6 @@ def _nested(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(_nested, value))}]"
     return number(value)
-
-
-def _float_text(value: float) -> str:
-    if abs(value) < _ROUNDED_ZERO:
-        return "0"
-    if 1e3 <= abs(value) < 1e12:
-        return f"{value:,.0f}"
-    return f"{value:.4g}"
-
-
-def result_number(value: float) -> str:
-    """Format a measured value: as `number`, but a small one has six decimals and no exponent.
-
-    An error of 3e-24 m is 0 to whoever reads a table; files of results have all digits.
-
-    Args:
-        value: The value, in SI units.
-    """
-    if abs(value) >= 1e-3 or not math.isfinite(value):
-        return number(float(value))
-    text = f"{value:.{_DECIMALS}f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
 
 
 def result_row(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from embodichain.recording.read.api import Log
 from embodichain.recording.read.playback import Playback, Span, Stretch
 from embodichain.recording.viewers.page.web_page import Facts
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.number_text import signed_number
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, Engine
@@ -215,7 +216,7 @@ class _StepFacts:
         return Facts(
             step=step,
             seconds=step * self._dt,
-            lines=(("episode", str(episode)), ("reward", f"{reward:+.4g}")),
+            lines=(("episode", str(episode)), ("reward", signed_number(reward))),
             rewards=self._terms(step, "reward_"),
             sums=self._terms(step, "sum_"),
         )

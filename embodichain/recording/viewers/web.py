@@ -17,6 +17,7 @@ from embodichain.lab.sim.engine.api import Write
 from embodichain.recording.viewers.page.teleop_status import PageOperator, TeleopStatus
 from embodichain.recording.viewers.page.web_page import LOOKS, Facts, PageOptions, WebPage
 from embodichain.utils.array_types import EnvIds, host_ids
+from embodichain.utils.number_text import result_number, signed_number
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
@@ -154,10 +155,13 @@ def _facts(env: ObservedEnv, step: StepRecord, i: int) -> Facts:
     episode_reward = sum(sums.values())
     lines = [
         ("episode", str(int(step.episode_ids[i]))),
-        ("reward", f"{step.reward[i]:+.4g}, {episode_reward:+.4g} in this episode"),
+        (
+            "reward",
+            f"{signed_number(step.reward[i])}, {signed_number(episode_reward)} in this episode",
+        ),
     ]
     for name, value in _row(info["metrics"], i).items():
-        lines.append((name, f"{value:.4g}"))
+        lines.append((name, result_number(value)))
     return Facts(
         step=step.control_step - 1,
         seconds=info["elapsed_steps"].numpy().item(i) * env.step_dt,

@@ -20,6 +20,7 @@ from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.sim.engine.api import F64
 from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.format.messages.schema import scalars_class, scalars_descriptor_set
+from embodichain.utils.number_text import result_number
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import StepRecord
@@ -264,7 +265,7 @@ def event_text(env_id: int, term: str, mode: str, drawn: Mapping[str, NDArray[An
     text = f"environment {env_id}: {term} ({mode})"
     draws = []
     for name, values in drawn.items():
-        numbers = [f"{number:.4g}" for number in np.asarray(values).reshape(-1).tolist()]
+        numbers = [result_number(number) for number in np.asarray(values).reshape(-1).tolist()]
         draws.append(f"{name} {_listed(numbers, ' ')}")
     if draws:
         text += f": {', '.join(draws)}"

@@ -15,7 +15,14 @@ READ = {"task", "sim", "num_envs", "seed", "device", "gym_config"}
 
 @pytest.mark.parametrize(
     "line",
-    ["viewer=web", "viewer.port=8090", "video=true", "record=none", "+record.every=2", "policy=zero"],
+    [
+        "viewer=web",
+        "viewer.port=8090",
+        "video=true",
+        "record=none",
+        "+record.every=2",
+        "policy=zero",
+    ],
 )
 def test_it_is_refused_by_name(line: str) -> None:
     key = line.lstrip("+").partition("=")[0]

@@ -93,9 +93,9 @@ def test_episodes_end_where_they_ended_in_either_mode(tmp_path, mode, state):
         "NextStep": [(0, 2, True), (4, 6, True)],
     }[mode]
     assert found == [end for end in expected if state == "all" or end[2]]
-    assert [(e.first_step, e.last_step) for e in recording.inspect(path).episodes if e.env == 0] == [
-        end[:2] for end in expected if end[2]
-    ]
+    assert [
+        (e.first_step, e.last_step) for e in recording.inspect(path).episodes if e.env == 0
+    ] == [end[:2] for end in expected if end[2]]
 
 
 def test_other_libraries_read_it(played):

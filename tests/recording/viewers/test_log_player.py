@@ -15,6 +15,7 @@ from embodichain.recording.viewers import log_player
 from embodichain.recording.viewers.log_player import NativeScreen, play_log
 from embodichain.recording.viewers.page.web_page import PageOptions, WebPage
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.number_text import signed_number
 from tests.helpers.browser import chromium, needs_chromium, picture, share_of
 from tests.recording.scene import SmallEnv
 
@@ -69,7 +70,7 @@ def test_states_come_in_order_with_rewards_and_each_episodes_model(path):
     assert [step for _, step, *_ in screen.shown] == list(range(20))
     for (_, step, row, facts), wait in zip(screen.shown, screen.waits, strict=True):
         assert row[1:10].tolist() == data["qpos"][step, 0, :9].tolist()
-        assert facts.lines[1] == ("reward", f"{data['rewards'][step, 0]:+.4g}")
+        assert facts.lines[1] == ("reward", signed_number(data["rewards"][step, 0]))
         assert wait == pytest.approx(0.01)  # steps of 0.02 s, twice as fast
     # It is shown anew when an episode begins: a reset randomizes the cube's mass.
     assert len(screen.models) == len(set(data["episodes"][:, 0].tolist())) == 3

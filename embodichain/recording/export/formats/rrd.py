@@ -30,6 +30,7 @@ from embodichain.recording.read.playback import Playback
 from embodichain.recording.views.channels import event_text, scalar_joints
 from embodichain.recording.views.encoders import jpeg
 from embodichain.recording.views.shapes import Shape, corner_normals, mesh_of, shapes
+from embodichain.utils.number_text import result_number
 
 __all__ = ["write_rrd"]
 
@@ -333,7 +334,7 @@ def _ending_line(episode: LogEpisode) -> _Line:
     return _Line(
         episode.last_step,
         f"environment {episode.env}: episode {episode.episode} {ending} after {episode.steps} "
-        f"steps, return {episode.total_reward:.4g}",
+        f"steps, return {result_number(episode.total_reward)}",
     )
 
 

@@ -43,6 +43,7 @@ from embodichain.recording.viewers.page.own_socket import OwnSocket
 from embodichain.recording.viewers.page.web_guard import GUARDS, Guard, guard_serving
 from embodichain.recording.viewers.page.web_page import SPEEDS, Controls, Facts, PageOptions
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.number_text import signed_number
 from embodichain.utils.system.addresses import reachable
 from embodichain.utils.system.processes import ProcessId, end_with
 
@@ -545,7 +546,7 @@ def _draw_facts(facts: Facts, history: list[Facts]) -> None:
         imgui.TableHeadersRow()
         for name, value in facts.rewards.items():
             imgui.TableNextRow()
-            for text in (name, f"{value:+.4g}", f"{facts.sums.get(name, 0.0):+.4g}"):
+            for text in (name, signed_number(value), signed_number(facts.sums.get(name, 0.0))):
                 imgui.TableNextColumn()
                 imgui.TextUnformatted(text)
         imgui.EndTable()
