@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -152,6 +154,19 @@ def test_doctor_looks_at_everything(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"mujoco", "torch", "threads", "rendering", "display", "disk", "CUDA"} <= set(checks)
     assert checks["mujoco"]["found"].startswith("4.")
     assert checks["disk"]["found"].endswith(str(Path("outputs").resolve()))
+
+
+def test_without_a_driver_warp_says_nothing() -> None:
+    """Warp's library writes a warning to the descriptor itself, which Python does not see."""
+    pytest.importorskip("warp")
+    code = (
+        "from embodichain.lab.sim.engine.warp.warp_support import cuda_devices, why_missing\n"
+        "print(cuda_devices(), why_missing('cuda'))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    if "[]" in done.stdout:
+        assert "there is no CUDA device here" in done.stdout
+    assert done.stderr == ""
 
 
 def test_doctor_begins_with_what_does_not_work(

@@ -5,7 +5,9 @@ Nothing is imported from Warp before a function is called.
 
 from __future__ import annotations
 
+import ctypes
 import re
+import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
@@ -24,6 +26,8 @@ __all__ = ["cuda_devices", "start_warp", "unsupported", "why_missing"]
 
 _INSTALL = "pip install 'embodichain[gpu]'"
 _PLAIN = "use sim.engine=mujoco"
+_DRIVERS = {"linux": ("libcuda.so", "libcuda.so.1"), "win32": ("nvcuda.dll",)}
+"""Platform -> names of the library of NVIDIA's driver."""
 
 
 def start_warp() -> Any:
@@ -58,8 +62,25 @@ def why_missing(device: str) -> str:
 
 
 def cuda_devices() -> list[str]:
-    """The CUDA devices that Warp finds: ``cuda:0 NVIDIA ...``. Warp must be installed."""
+    """The CUDA devices that Warp finds: ``cuda:0 NVIDIA ...``. Warp must be installed.
+
+    Without a driver Warp is not started: it would write a warning to stderr, which none of its
+    options turns off.
+    """
+    if not _has_cuda_driver():
+        return []
     return [f"{device.alias} {device.name}" for device in start_warp().get_cuda_devices()]
+
+
+def _has_cuda_driver() -> bool:
+    """Whether the library of NVIDIA's driver can be loaded, by the names that Warp tries."""
+    for name in _DRIVERS.get(sys.platform, ()):
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            continue
+        return True
+    return False
 
 
 def unsupported(model: mujoco.MjModel) -> list[Problem]:
