@@ -58,6 +58,8 @@ _EXPECTED = "; expected key=value, +key=value or ~key"
             "a verb comes first: embodichain run num_envs=4, without dashes",
         ),
         (["compare", "lst"], "there is no run 'lst'. Did you mean 'last'?"),
+        (["compare", "last", "lst"], "there is no run 'lst'. Did you mean 'last'?"),
+        (["compare", "last", "lst"], "no training in outputs yet"),
         (["compare", "num_envs=2"], "num_envs=2: `compare` reads no KEY=VALUE"),
         *(
             ([*verb.split(), "lst", *more], "lst does not exist. Did you mean 'last'?")

@@ -19,7 +19,7 @@ from embodichain.cli.terminal.last import announce_last
 from embodichain.cli.terminal.output import print_json, print_table
 from embodichain.cli.verb import complete_last, verb
 from embodichain.config.run_folder import CHECKPOINT, newest_run, perhaps_last, whole_run
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.learning.evaluation.comparison import Group
@@ -97,7 +97,7 @@ def _find_trainings(names: Sequence[str]) -> list[Path]:
 
     trainings: list[Path] = []
     others: list[Path] = []
-    for path in dict.fromkeys(map(_find_path, names)):
+    for path in dict.fromkeys(_find_paths(names)):
         trainings_of_path = trainings_in(path) if path.is_dir() else []
         trainings += trainings_of_path
         if not trainings_of_path:
@@ -109,20 +109,32 @@ def _find_trainings(names: Sequence[str]) -> list[Path]:
     return list(dict.fromkeys(trainings))
 
 
-def _find_path(name: str) -> Path:
-    """Find a file or folder; of the word ``last``, the newest training or its sweep.
+def _find_paths(names: Sequence[str]) -> list[Path]:
+    """Find files and folders; of the word ``last``, the newest training or its sweep.
 
     Raises:
-        ConfigError: There is none.
+        ConfigError: Lists every name that nothing has.
     """
-    if name == "last":
-        newest = newest_run("outputs", CHECKPOINT)
-        if newest is None:
-            raise ConfigError("no training in outputs yet: embodichain train task=NAME")
-        return announce_last(whole_run(newest)).resolve()
-    path = Path(name)
-    if path.exists():
-        return path.resolve()
-    if "=" in name:
-        raise ConfigError(f"{name}: `compare` reads no KEY=VALUE")
-    raise ConfigError(f"there is no run {name!r}{perhaps_last(name)}")
+    paths: list[Path] = []
+    newest: Path | None = None
+    problems: list[Problem] = []
+    for name in names:
+        if name == "last":
+            newest = newest_run("outputs", CHECKPOINT)
+            if newest is None:
+                message = "no training in outputs yet: embodichain train task=NAME"
+                problems.append(Problem("", message))
+            else:
+                newest = whole_run(newest)
+                paths.append(newest.resolve())
+        elif Path(name).exists():
+            paths.append(Path(name).resolve())
+        elif "=" in name:
+            problems.append(Problem("", f"{name}: `compare` reads no KEY=VALUE"))
+        else:
+            problems.append(Problem("", f"there is no run {name!r}{perhaps_last(name)}"))
+    if problems:
+        raise ConfigError(problems)
+    if newest is not None:
+        announce_last(newest)
+    return paths
