@@ -43,7 +43,7 @@ _AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.75, 0.25), (0.2, 0.4, 1.0))
 def arrows_of(command: ShownCommand, state: DrawnState) -> list[Arrows]:
     """The arrows of a command in a state."""
     values = np.asarray(command.values, np.float64)
-    is_known = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    is_known = np.isfinite(values.sum(axis=1))
     values = np.where(is_known[:, None], values, 0.0)
     origins = np.asarray(state.derived("xpos")).reshape(state.num_envs, -1, 3)[:, command.body]
     axes = np.asarray(state.derived("xmat")).reshape(state.num_envs, -1, 3, 3)[:, command.body]

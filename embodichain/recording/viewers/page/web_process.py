@@ -471,8 +471,7 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self._camera.camera_index = ux.set_camera(
             self.viewer.model, self.viewer.camera, ux.TUMBLE_CAMERA_IDX
         )
-        if self._operators is not None:
-            look_like(self.viewer.model, self.viewer.camera, DEFAULT_VIEW)
+        look_like(self.viewer.model, self.viewer.camera, DEFAULT_VIEW)
 
     @messages.handler  # type: ignore[untyped-decorator]
     def _on_update(self, _: messages.UpdateEvent) -> None:
