@@ -97,7 +97,7 @@ SIZE = 400, 300
 """Width and height of one task's picture, in pixels."""
 BAR = 28
 """Height of the line with its name."""
-ROBOT_COLUMNS = 7
+ROBOT_COLUMNS = 6
 ROBOT_SIZE = 220, 176
 ROBOT_BAR = 20
 OUR_ROBOT = "UniversalRobots/UR10/UR10.urdf"

@@ -146,7 +146,7 @@ def test_what_policies_see_in_pictures_is_written_down(task, goal):
     """The look that tasks share may change; the room of a policy that sees must not."""
     resolved = resolve(compose([f"task={task}"]), "run")
     scene = resolved.tree["task"]["scene"]
-    assert scene["ground"]["type"] == "wood" and scene["ground"]["tile"] == 1.2
+    assert scene["ground"]["type"] == "wood" and scene["ground"]["tile"] == 2.4
     assert scene["ground"].get("colors") is None
     assert list(scene["sky"]["top"]) == [0.42, 0.5, 0.6]
     assert list(scene["sky"]["horizon"]) == [0.88, 0.89, 0.9]

@@ -23,6 +23,7 @@ from embodichain.data.faults import fault_of
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.scene_entity import references_in
 from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS
+from embodichain.lab.sim.cfg import ReachedCfg
 from embodichain.lab.sim.compiler.names import Known, pick
 from embodichain.lab.sim.configs.references import FRAME_KEYS, LinksCfg
 from embodichain.utils.errors import DataNotFoundError, OutsideError, Problem
@@ -390,9 +391,23 @@ def _references(task: EnvCfg) -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield f"views.{name}", _reference_to(view.body)
         for uid in view.show or ():
             yield f"views.{name}", {"uid": uid}
+    for path, reached in _conditions_of_marks(task):
+        if reached.by is not None:
+            yield path, _reference_to(reached.by)
+        elif reached.joint is not None:
+            uid, _, joint = reached.joint.partition("/")
+            yield path, {"uid": uid, _JOINTS: joint}
+
+
+def _conditions_of_marks(task: EnvCfg) -> Iterator[tuple[str, ReachedCfg]]:
+    """Yield key path and condition of the marks of objects and articulations."""
     for uid, cfg in task.objects.items():
         if cfg.reached is not None:
-            yield f"objects.{uid}.reached", _reference_to(cfg.reached.by)
+            yield f"objects.{uid}.reached", cfg.reached
+    for uid, articulation in task.articulations.items():
+        for name, mark in articulation.marks.items():
+            if mark.reached is not None:
+                yield f"articulations.{uid}.marks.{name}.reached", mark.reached
 
 
 def _reference_to(frame: str) -> dict[str, str]:

@@ -20,6 +20,7 @@ from embodichain.lab.sim.configs.drive_cfg import JointDrivePropertiesCfg
 from embodichain.lab.sim.configs.physics_cfg import GPUMemoryCfg, PhysicsCfg, RenderCfg
 from embodichain.lab.sim.configs.robot_names_cfg import GripperCfg, HomeCfg
 from embodichain.lab.sim.configs.scene_cfg import (
+    Finite,
     Four,
     Length,
     LightCfg,
@@ -58,6 +59,7 @@ __all__ = [
     "HomeCfg",
     "JointDrivePropertiesCfg",
     "LightCfg",
+    "MarkCfg",
     "MarkerCfg",
     "ObjectBaseCfg",
     "PhysicsCfg",
@@ -274,6 +276,52 @@ class CollisionShapeCfg(ObjectBaseCfg):
 
 
 @configclass
+class HaloCfg:
+    """A translucent sphere around an object, in pictures and films for people.
+
+    Nothing touches or measures it; cameras whose images are observations do not see it.
+    """
+
+    radius: Length
+    """Metres."""
+    color: Rgb | None = None
+    """RGB in [0, 1]; None is the object's."""
+
+
+@configclass
+class ReachedCfg:
+    """Another colour while something is near, or a joint is past a position.
+
+    It is for pictures and films for people: cameras whose images are observations see things as
+    they are. `by` needs `within`; `joint` needs `above` or `below`.
+    """
+
+    by: str | None = None
+    """What has to be near: an entity, or a link, site or geom of one, ``UID/NAME``."""
+    within: Length | None = None
+    """Metres: the largest distance."""
+    offset: Point = (0.0, 0.0, 0.0)
+    """Metres: the point that it is measured from, in the frame of what is marked."""
+    color: Rgb = (0.15, 0.75, 0.3)
+    """RGB in [0, 1]."""
+    # ours
+    joint: str | None = dataclasses.field(default=None, kw_only=True)
+    """A joint, ``UID/NAME``, that has to be past a position."""
+    above: Finite | None = dataclasses.field(default=None, kw_only=True)
+    """rad or m: its least position."""
+    below: Finite | None = dataclasses.field(default=None, kw_only=True)
+    """rad or m: its largest position."""
+
+
+@configclass
+class MarkCfg:
+    """How a link, site or geom is marked, in pictures and films for people."""
+
+    halo: HaloCfg | None = None
+    reached: ReachedCfg | None = None
+
+
+@configclass
 class ArticulationCfg(ObjectBaseCfg):
     """A jointed mechanism read from a URDF or MJCF file.
 
@@ -345,6 +393,9 @@ class ArticulationCfg(ObjectBaseCfg):
     names: dict[str, str | list[str]] = dataclasses.field(default_factory=dict, kw_only=True)
     """Further names of links, sites or geoms: name -> one of them, a regex, or a list of these.
     They are valid wherever a link is named, so that a task need not know the file's names."""
+    marks: dict[str, MarkCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Link, site or geom -> how it is marked in pictures: a halo, and another colour when it is as
+    the task wants it."""
 
 
 @configclass
@@ -399,36 +450,6 @@ class RobotCfg(ArticulationCfg):
     """Control part -> how this gripper opens and closes."""
     home: HomeCfg | None = dataclasses.field(default=None, kw_only=True)
     """The pose of the tool at the start; the joints that move it are solved from `init_qpos`."""
-
-
-@configclass
-class HaloCfg:
-    """A translucent sphere around an object, in pictures and films for people.
-
-    Nothing touches or measures it; cameras whose images are observations do not see it.
-    """
-
-    radius: Length
-    """Metres."""
-    color: Rgb | None = None
-    """RGB in [0, 1]; None is the object's."""
-
-
-@configclass
-class ReachedCfg:
-    """An object has another colour while something is near, in pictures and films for people.
-
-    Cameras whose images are observations see the object as it is.
-    """
-
-    by: str
-    """What has to be near: an entity, or a link, site or geom of one, ``UID/NAME``."""
-    within: Length
-    """Metres: the largest distance."""
-    offset: Point = (0.0, 0.0, 0.0)
-    """Metres: the point of the object that it is measured from, in the object's frame."""
-    color: Rgb = (0.15, 0.75, 0.3)
-    """RGB in [0, 1]."""
 
 
 @configclass

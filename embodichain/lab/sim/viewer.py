@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from embodichain.lab.sim.drawing.marks import MarkedState, marks_of
+from embodichain.lab.sim.drawing.overlays import add_geoms
+from embodichain.lab.sim.drawing.states import DataState
 from embodichain.utils.errors import RenderError
 from embodichain.utils.system.display import has_display
 
@@ -46,6 +49,7 @@ class NativeViewer:
         self._env_id = env_id
         self._model = engine.model_of(env_id)
         self._data = mujoco.MjData(self._model)
+        self._marks = marks_of(self._model)
         self.on_key = on_key
         self._handle: Any = mujoco.viewer.launch_passive(
             self._model, self._data, key_callback=self._pressed
@@ -89,7 +93,19 @@ class NativeViewer:
                 int(mujoco.mjtState.mjSTATE_INTEGRATION),
             )
             mujoco.mj_forward(self._model, self._data)
+            self._show_marks()
         self._handle.sync()
+
+    def _show_marks(self) -> None:
+        """Show halos, what is reached, and commands, beside the model."""
+        commands = self._engine.commands
+        scene = self._handle.user_scn
+        if scene is None or not (self._marks or commands):
+            return
+        state = DataState(self._data)
+        state.commands = [command.of_env(self._env_id) for command in commands]
+        scene.ngeom = 0
+        add_geoms(scene, MarkedState(state, self._marks).viewer_geoms(0))
 
     def close(self) -> None:
         """Close the window."""

@@ -38,7 +38,7 @@ class FilmCamera(NamedTuple):
         look: ``fast`` or ``full``.
         near: Metres along the axis; None is the scene's.
         far: Likewise.
-        marks: Whether it shows the halos of objects and what is reached, for people.
+        marks: Whether it shows halos, what is reached, and commands, for people.
     """
 
     camera: str | Viewpoint | View

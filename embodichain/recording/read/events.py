@@ -16,7 +16,7 @@ from embodichain.recording.format.log_error import LogError
 from embodichain.recording.format.messages.block import DRAWN, CallKind
 from embodichain.recording.format.messages.schema import scalars_class
 from embodichain.recording.read.chunks import LogReader
-from embodichain.recording.read.trajectory import columns_of, runs
+from embodichain.recording.read.trajectory import Span, columns_of, needed_chunks, runs
 from embodichain.utils.array_types import EnvIds
 
 __all__ = ["LogEvent", "LogWrite", "read_events", "read_metrics", "read_writes"]
@@ -102,9 +102,14 @@ def _calls(reader: LogReader, kind: str) -> Iterator[tuple[int, CallKind, dict[s
 
 
 def read_metrics(
-    reader: LogReader, env: int
+    reader: LogReader, env: int, span: Span | None = None
 ) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
     """(S,) sampled steps of an environment, and name to (S,) values; empty if it has none.
+
+    Args:
+        reader: The log.
+        env: The environment.
+        span: The control steps; some before and after them may be returned too. None is all.
 
     Raises:
         LogError: If a message or the schema is damaged.
@@ -113,7 +118,10 @@ def read_metrics(
     topic = f"/env_{env}/metrics"
     times_ns = []
     messages = []
-    for message_topic, time_ns, data in reader.messages():
+    chunks = None if span is None else needed_chunks(reader, span)
+    for message_topic, time_ns, data in reader.messages(chunks):
+        if span is not None and span.ends_before((time_ns - header.start_ns) // header.period_ns):
+            break
         if message_topic == topic:
             times_ns.append(time_ns)
             messages.append(data)

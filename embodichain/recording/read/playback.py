@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from embodichain.lab.sim.engine.api import Engine
+from embodichain.recording.read.commands import RecordedCommands
 from embodichain.recording.read.episodes import episode_of
 from embodichain.recording.read.recorded_log import RecordedLog
 from embodichain.recording.read.simulation import Simulation, always, never
@@ -94,7 +95,8 @@ class Playback:
         env: The environment.
 
     Attributes:
-        engine: The engine with the state of the current step; it has one environment, 0.
+        engine: The engine with the state of the current step, and with the commands that were in
+            force, if the environment was viewed; it has one environment, 0.
 
     Raises:
         ConfigError: If there is no such environment.
@@ -125,7 +127,16 @@ class Playback:
             LogError: If a message is damaged or does not match the model, or simulating between
                 keyframes does not give the recorded states.
         """
+        task = self.log.config.get("task")
+        commands = RecordedCommands(
+            self.log.reader,
+            task if isinstance(task, dict) else {},
+            self.engine.model,
+            env=self.env,
+            span=span,
+        )
         for run, t in follow(self.log.reader, self._simulation, span):
             step = run.first + t
             if (step - span.first) % every == 0:
+                self.engine.commands = commands.at(step)
                 yield step

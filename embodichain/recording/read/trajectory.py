@@ -29,6 +29,7 @@ __all__ = [
     "Span",
     "columns_of",
     "follow",
+    "needed_chunks",
     "physics_call",
     "runs",
 ]
@@ -85,7 +86,7 @@ def runs(reader: LogReader, span: Span = _ALL, is_read: CallFilter | None = None
     def is_read_or_start(kind: CallKind) -> bool:
         return is_read is None or kind.kind == "start" or is_read(kind)
 
-    for topic, time_ns, payload in reader.messages(_needed(reader, span)):
+    for topic, time_ns, payload in reader.messages(needed_chunks(reader, span)):
         is_start = topic == START_TOPIC
         if not is_start and (topic != STEPS_TOPIC or next_step is None):
             continue
@@ -135,7 +136,7 @@ def _run_error(run: Run, is_start: bool, header: Header) -> str:
     return ""
 
 
-def _needed(reader: LogReader, span: Span) -> list[ChunkPlace] | None:
+def needed_chunks(reader: LogReader, span: Span) -> list[ChunkPlace] | None:
     """The chunks from that of the last start before the steps; None for all chunks."""
     header = reader.require_header()
     chunks = reader.chunks

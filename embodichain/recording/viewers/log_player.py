@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -17,6 +17,7 @@ from embodichain.utils.errors import ConfigError
 from embodichain.utils.number_text import signed_number
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.drawing.commands import ShownCommand
     from embodichain.lab.sim.engine.api import F64, Engine
 
 __all__ = ["NativeScreen", "Screen", "play_log"]
@@ -48,8 +49,8 @@ class Screen(Protocol):
     def begin(self, engine: Engine) -> None:
         """Show this engine's environment from now on, with its current model."""
 
-    def show(self, row: F64, facts: Facts) -> None:
-        """Show the engine's state, (nstate,)."""
+    def show(self, row: F64, facts: Facts, commands: Sequence[ShownCommand]) -> None:
+        """Show the engine's state, (nstate,), and the commands in force."""
 
     def pace(self, seconds: float) -> None:
         """Wait for the next step, and while paused."""
@@ -90,8 +91,8 @@ class NativeScreen:
             self._window = NativeViewer(engine, 0, self._on_key)
         self._window.follow(engine)
 
-    def show(self, row: F64, facts: Facts) -> None:
-        """Show the engine's state."""
+    def show(self, row: F64, facts: Facts, commands: Sequence[ShownCommand]) -> None:
+        """Show the engine's state, with its commands."""
         if self._window is not None:
             self._window.sync()
 
@@ -181,7 +182,7 @@ def _play(
         if playback.changes != changes:
             changes = playback.changes
             screen.begin(playback.engine)
-        screen.show(playback.engine.rows[0], facts.at(step))
+        screen.show(playback.engine.rows[0], facts.at(step), playback.engine.commands)
         screen.pace(seconds)
         last_shown = step
     return last_shown

@@ -139,7 +139,9 @@ class WebView(StepObserver):
         facts = None
         if with_facts and self._step is not None:
             facts = _facts(env, self._step, env_id)
-        self._page.show(env.sim.engine.rows[env_id], facts)
+        engine = env.sim.engine
+        commands = [command.of_env(env_id) for command in engine.commands]
+        self._page.show(engine.rows[env_id], facts, commands)
         if self._teleop is not None:
             self._page.tell(self._teleop.status())
 

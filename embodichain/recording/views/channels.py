@@ -5,7 +5,6 @@ Frames are named ``env_I/uid/link``; their parent is ``env_I``, whose parent is 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,11 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.sim.engine.api import F64
 from embodichain.lab.sim.engine.fields import row_layout
-from embodichain.recording.format.messages.schema import scalars_class, scalars_descriptor_set
+from embodichain.recording.format.messages.schema import (
+    identifier,
+    scalars_class,
+    scalars_descriptor_set,
+)
 from embodichain.utils.number_text import result_number
 
 if TYPE_CHECKING:
@@ -33,7 +36,6 @@ __all__ = [
     "ending_text",
     "event_text",
     "frame_names",
-    "identifier",
     "ids_text",
     "log_line",
     "scalar_joints",
@@ -242,11 +244,6 @@ def _field_names(titles: Sequence[str]) -> list[str]:
         same = [other for other in names if other == name or other.startswith(f"{name}__")]
         names.append(f"{name}__{len(same) + 1}" if same else name)
     return names
-
-
-def identifier(name: str) -> str:
-    """Return a legal protobuf field name."""
-    return re.sub(r"[^A-Za-z0-9_]", "_", name).lower()
 
 
 # -- lines of `/log` -------------------------------------------------------------------------------

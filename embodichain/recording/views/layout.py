@@ -17,7 +17,8 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.api import F64
-from embodichain.recording.views.channels import identifier, scalar_joints
+from embodichain.recording.format.messages.schema import identifier
+from embodichain.recording.views.channels import scalar_joints
 from embodichain.recording.views.scene import Commands
 
 if TYPE_CHECKING:

@@ -47,7 +47,7 @@ class Screen:
     def begin(self, engine):
         self.models.append(engine.model_field("body_mass")[0].copy())
 
-    def show(self, row, facts):
+    def show(self, row, facts, commands):
         self.shown.append((self.env_id, facts.step, row.copy(), facts))
         self.then.get(len(self.shown), lambda screen: None)(self)
 

@@ -67,6 +67,7 @@ from embodichain.lab.gym.envs.scene_setup.scene_building import (
     with_all_problems,
     with_problems_of_other_terms,
 )
+from embodichain.lab.gym.envs.shown_commands import commands_in_force
 from embodichain.lab.gym.envs.step.episodes import Episodes, parse_mode, seed_globals
 from embodichain.lab.gym.envs.step.judging import (
     JudgingHooks,
@@ -331,6 +332,10 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
                 self.managers[manager.section] = manager
         if problems:
             raise ConfigError(problems)
+        if self.command_manager.terms and not self.arrays.on_device:
+            self.sim.engine.commands = commands_in_force(
+                self.command_manager, cfg, self.sim.scene.model
+            )
         self._prepare_events()
         self.curriculum_manager = CurriculumManager(self, cfg.curriculum)
         self.managers["curriculum"] = self.curriculum_manager

@@ -236,11 +236,13 @@ def _add_views(spec: mujoco.MjSpec, parts: SceneParts, known: Known) -> None:
 
 
 def _add_marks(spec: mujoco.MjSpec, parts: SceneParts, known: Known) -> None:
-    """Add the marks of objects, if they have any."""
-    if any(cfg.halo or cfg.reached for cfg in parts.objects.values()):
+    """Add the marks of objects and of parts of articulations, if there are any."""
+    has_marks = any(cfg.halo or cfg.reached for cfg in parts.objects.values())
+    if has_marks or any(parsed.cfg.marks for parsed in parts.articulations):
         from embodichain.lab.sim.compiler.scene.object_marks import add_marks  # few scenes have any
 
-        add_marks(spec, parts.objects, known)
+        articulations = {parsed.uid: parsed.cfg for parsed in parts.articulations}
+        add_marks(spec, {**parts.objects, **articulations}, known)
 
 
 def _compile(spec: mujoco.MjSpec, objects: Mapping[str, RigidObjectCfg]) -> mujoco.MjModel:
@@ -434,10 +436,6 @@ def _index_object(
     pos, quat = initial_pose(cfg)
     joint = int(model.body_jntadr[body])
     geoms: Ids = np.flatnonzero(model.geom_bodyid == body).astype(np.int64)
-    if cfg.halo is not None:
-        from embodichain.lab.sim.drawing.marks import HALO  # few objects have one
-
-        geoms = geoms[geoms != model.geom(f"{uid}/{HALO}").id]  # it is in pictures only
     variants = None
     if cfg.any_of:
         from embodichain.lab.sim.compiler.scene.variants import (

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drawing.gl import context_class, hint
+from embodichain.lab.sim.drawing.marks import MarkedState
+from embodichain.lab.sim.drawing.overlays import add_geoms
 from embodichain.lab.sim.drawing.states import DRAWN_FIELDS, DRAWN_POSES
 from embodichain.lab.sim.drawing.views import DrawnState, Optics, Pictures, View
 from embodichain.utils.errors import RenderError
@@ -85,6 +87,8 @@ class ClassicRenderer:
                 part[...] = _of_row(values, row).reshape(part.shape)
             for view, pictures_of_view in zip(views, pictures, strict=True):
                 self._fill(view, row)
+                if isinstance(state, MarkedState):
+                    add_geoms(self._scene, state.overlay.viewer_geoms(row))
                 for name, picture in self._draw(view).items():
                     pictures_of_view[name][place] = picture
         return pictures

@@ -7,6 +7,7 @@ need, which keep their radius when its length changes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["VERTEX", "SceneGeometry", "geom_scales"]
+from embodichain.lab.sim.drawing.overlays import PartKind
+
+__all__ = ["VERTEX", "SceneGeometry", "geom_scales", "overlay_geometry"]
 
 VERTEX = np.dtype(
     [
@@ -91,6 +94,31 @@ class SceneGeometry:
             planes=frozenset(geom for geom in triangles if model.geom_type[geom] == _PLANE),
             fields=frozenset(geom for geom in triangles if model.geom_type[geom] == _HFIELD),
         )
+
+
+def overlay_geometry(kinds: Sequence[PartKind], first: int, slices: int) -> SceneGeometry:
+    """Return the parts of an overlay as geoms whose ids follow those of a model.
+
+    Args:
+        kinds: What each part is; all are of unit size.
+        first: The id of the first.
+        slices: Around each of them.
+    """
+    parts: list[NDArray[Any]] = [np.zeros(0, VERTEX)]
+    triangles: dict[int, Triangles] = {}
+    count = 0
+    for geom, kind in enumerate(kinds, first):
+        if kind == "sphere":
+            part, faces = _round(slices, np.linspace(0.0, np.pi, slices // 2 + 1), None)
+        elif kind == "cylinder":
+            part, faces = _cylinder(slices)
+        else:
+            part, faces = _cone(slices)
+        part["geom"] = geom
+        parts.append(part)
+        triangles[geom] = faces + np.uint32(count)
+        count += len(part)
+    return SceneGeometry(np.concatenate(parts), triangles, frozenset(), frozenset())
 
 
 def geom_scales(types: NDArray[np.int32], sizes: NDArray[Any]) -> F32:
@@ -256,6 +284,25 @@ def _cylinder(slices: int) -> tuple[NDArray[Any], Triangles]:
     add([(0.0, 1.0), (1.0, 1.0)], np.array([0.0, 0.0, 1.0]))
     add([(1.0, -1.0), (0.0, -1.0)], np.array([0.0, 0.0, -1.0]))
     return np.concatenate(parts), np.concatenate(faces)
+
+
+def _cone(slices: int) -> tuple[NDArray[Any], Triangles]:
+    """A unit cone from a base at z = -1 to a tip at z = 1."""
+    angle = np.linspace(0, 2 * np.pi, slices + 1)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
+    one = np.ones(slices + 1)
+    base = np.stack([cos, sin, -one], axis=1)
+    outwards = np.stack([cos, sin, 0.5 * one], axis=1) / np.hypot(1.0, 0.5)
+    side = _vertices(
+        np.concatenate([np.stack([0 * one, 0 * one, one], axis=1), base]),
+        np.tile(outwards, (2, 1)),
+        np.zeros(2),
+    )
+    centre = np.stack([0 * one, 0 * one, -one], axis=1)
+    bottom = _vertices(np.concatenate([base, centre]), np.array([0.0, 0.0, -1.0]), np.zeros(2))
+    faces = _quads(1, slices)
+    return np.concatenate([side, bottom]), np.concatenate([faces, faces + np.uint32(len(side))])
 
 
 def _box() -> tuple[NDArray[Any], Triangles]:

@@ -78,7 +78,7 @@ class OffscreenRenderer:
         # Poses are computed in this thread: an engine may have to recompute constants for them,
         # and calls its listeners then.
         state.derived("geom_xpos")
-        if not self._marks:
+        if not self._marks and not state.commands:
             return self._draw_all(state, views, envs)
         has_marks = [view.marks and "color" in view.outputs for view in views]
         for_people = [view for view, marked in zip(views, has_marks, strict=True) if marked]

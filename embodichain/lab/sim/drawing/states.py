@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -11,6 +13,9 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.drawing.views import DrawnState
 
+if TYPE_CHECKING:
+    from embodichain.lab.sim.drawing.commands import ShownCommand
+
 __all__ = ["DRAWN_FIELDS", "DRAWN_POSES", "DataState", "StoredStates"]
 
 DRAWN_POSES = (
@@ -18,6 +23,8 @@ DRAWN_POSES = (
     *("xpos", "xmat"),  # for marks
 )
 """Fields of MjData that pictures depend on."""
+_COMPONENTS = ("qpos", "qvel")
+"""Components of the state that marks depend on."""
 DRAWN_FIELDS = (
     *sorted(f for f in MODEL_FIELDS if f.startswith(("geom_", "mat_", "light_"))),
     "cam_fovy",
@@ -37,6 +44,7 @@ class DataState:
 
     def __init__(self, data: mujoco.MjData) -> None:
         self._data = data
+        self.commands: Sequence[ShownCommand] = ()
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -45,6 +53,10 @@ class DataState:
 
     def derived(self, name: str) -> NDArray[np.float64]:
         """(1, ...) a field of MjData."""
+        return np.asarray(getattr(self._data, name))[None]
+
+    def state(self, name: str) -> NDArray[np.float64]:
+        """(1, ...) a component of the state."""
         return np.asarray(getattr(self._data, name))[None]
 
     def model_values(self, name: str) -> NDArray[Any]:
@@ -63,6 +75,7 @@ class StoredStates:
         self.model = model
         self._poses: list[dict[str, NDArray[np.float64]]] = []
         self._fields: list[dict[str, NDArray[Any]]] = []
+        self._commands: list[list[ShownCommand]] = []
 
     @property
     def num_envs(self) -> int:
@@ -71,7 +84,10 @@ class StoredStates:
 
     def append(self, state: DrawnState, env: int = 0) -> None:
         """Store what one environment of `state`, whose scene is the same, looks like now."""
-        self._poses.append({name: state.derived(name)[env].copy() for name in DRAWN_POSES})
+        poses = {name: state.derived(name)[env].copy() for name in DRAWN_POSES}
+        poses |= {name: np.array(state.state(name)[env]) for name in _COMPONENTS}
+        self._poses.append(poses)
+        self._commands.append([command.of_env(env) for command in state.commands])
         fields: dict[str, NDArray[Any]] = {}
         for name in DRAWN_FIELDS:
             values = state.model_values(name)
@@ -83,10 +99,23 @@ class StoredStates:
         """Remove all stored environments."""
         self._poses.clear()
         self._fields.clear()
+        self._commands.clear()
+
+    @property
+    def commands(self) -> list[ShownCommand]:
+        """Those of the stored environments, which are of one task."""
+        return [
+            replace(rows[0], values=np.concatenate([command.values for command in rows]))
+            for rows in zip(*self._commands, strict=False)
+        ]
 
     def derived(self, name: str) -> NDArray[np.float64]:
         """(n, ...) one of `DRAWN_POSES`."""
         return np.stack([poses[name] for poses in self._poses])
+
+    def state(self, name: str) -> NDArray[np.float64]:
+        """(n, ...) the components ``qpos`` and ``qvel``."""
+        return self.derived(name)
 
     def model_values(self, name: str) -> NDArray[Any]:
         """(n, ...) a field of MjModel; one row if it is the same in all of them."""

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.drawing.commands import ShownCommand
 
 __all__ = [
     "DrawnState",
@@ -49,8 +52,17 @@ class DrawnState(Protocol):
         """N."""
         ...
 
+    @property
+    def commands(self) -> Sequence[ShownCommand]:
+        """Commands in force, which pictures for people show."""
+        ...
+
     def derived(self, name: str) -> NDArray[np.float64]:
         """(N, ...) a field of MjData at the current positions: ``geom_xpos``, ``cam_xmat``..."""
+        ...
+
+    def state(self, name: str) -> NDArray[np.float64]:
+        """(N, ...) a component of the simulation's state: ``qpos``, ``qvel``..."""
         ...
 
     def model_values(self, name: str) -> NDArray[Any]:
@@ -97,7 +109,7 @@ class View:
         outputs: Of ``color``, ``depth``, ``mask``.
         look: ``fast`` or ``full``.
         centre: (N, 2) cx, cy in pixels instead of those of `optics`, or None.
-        marks: Whether it shows the halos of objects and what is reached, for people.
+        marks: Whether it shows halos, what is reached, and commands, for people.
     """
 
     optics: Optics
@@ -292,7 +304,7 @@ def view_of(
         far: Likewise; None is ``vis.map.zfar``.
         outputs: Of ``color``, ``depth``, ``mask``.
         look: ``fast`` or ``full``.
-        marks: Whether it shows the halos of objects and what is reached, for people.
+        marks: Whether it shows halos, what is reached, and commands, for people.
 
     Raises:
         ValueError: If there is no such camera, or it is orthographic.

@@ -5,13 +5,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.utils.array_types import F64, EnvIds, EnvIndex, Floats
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.drawing.commands import ShownCommand
 
 __all__ = [
     "ALL",
@@ -118,6 +122,8 @@ class Engine(Protocol):
     has_gravity: bool
     """Whether the model's gravity, which may be zero, acts."""
     listeners: list[EngineListener]
+    commands: Sequence[ShownCommand] = ()
+    """Commands of the task, for pictures alone."""
     reports_writes: bool = True
     """Whether listeners are told of every write; else of what differs between two copies."""
 

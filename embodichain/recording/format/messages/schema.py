@@ -7,6 +7,7 @@ channels, so any MCAP reader can decode it.
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
@@ -20,6 +21,7 @@ __all__ = [
     "START_TOPIC",
     "STEPS_TOPIC",
     "descriptor_set",
+    "identifier",
     "message_class",
     "scalars_class",
     "scalars_descriptor_set",
@@ -197,6 +199,11 @@ def scalars_descriptor_set(message: str, names: Sequence[str]) -> bytes:
     """Schema of a message of a run's scalars: a double field for each name, numbered from 1."""
     result = descriptor_pb2.FileDescriptorSet(file=[_scalars_file(message, names)])
     return result.SerializeToString(deterministic=True)
+
+
+def identifier(name: str) -> str:
+    """Return a legal protobuf field name."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", name).lower()
 
 
 def scalars_class(message: str, names: Sequence[str]) -> Any:

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,6 +26,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.gym.teleop import ToolCommand
+from embodichain.lab.sim.drawing.commands import ShownCommand
 from embodichain.lab.sim.engine.api import F64
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 from embodichain.utils.system import platforms
@@ -243,16 +244,23 @@ class WebPage:
             self._looks = looks
             self._send("model", model)
 
-    def show(self, row: F64, facts: Facts | None = None) -> None:
+    def show(
+        self,
+        row: F64,
+        facts: Facts | None = None,
+        commands: Sequence[ShownCommand] = (),
+    ) -> None:
         """Show a state; it is skipped if the other process is behind.
 
         Args:
             row: (nstate,) integration state; copied.
             facts: Text to show next to it; None keeps the previous one.
+            commands: Those of the environment, which are shown as arrows.
         """
         if self._writable.poll(0):  # plain values: pickling them is faster by a factor of 5
             plain_facts = None if facts is None else tuple(facts)
-            self._send("state", (np.asarray(row, np.float64).tobytes(), plain_facts))
+            state = np.asarray(row, np.float64).tobytes()
+            self._send("state", (state, plain_facts, list(commands)))
 
     def pace(self, seconds: float, changed: Callable[[], None] = lambda: None) -> None:
         """Wait for real time, and while paused, until the next step; return at once if no browser.

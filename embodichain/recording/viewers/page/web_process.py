@@ -21,6 +21,7 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -32,6 +33,9 @@ from mujoco.studio.implot import implot
 from mujoco.studio.web import web_server
 
 from embodichain.lab.sim.compiler.sensing.views import DEFAULT_VIEW
+from embodichain.lab.sim.drawing.commands import ShownCommand
+from embodichain.lab.sim.drawing.marks import Mark, MarkedState, marks_of
+from embodichain.lab.sim.drawing.states import DataState
 from embodichain.recording.viewers.door import Door
 from embodichain.recording.viewers.operators.operator_pages import (
     OperatorPages,
@@ -129,7 +133,8 @@ def _serve(
                 if operators is not None:
                     operators.tell(value)
                 continue
-            state, facts = value
+            state, facts, commands = value
+            studio.show_commands(commands)
             if facts is not None:
                 panel.add(Facts(*facts))
         if state is not None:
@@ -218,6 +223,7 @@ class Studio:
                 hint = "viewer.port=N is another; without it a free one is taken"
                 raise ConfigError([Problem("viewer.port", why, hint)]) from error
         viewer = viewers[0]
+        self._viewer = viewer
         self._guard = viewer.guard
         self.url = f"{viewer.url}{door.query}"
         self.url_once = f"{viewer.url}{door.query_once()}"
@@ -235,6 +241,10 @@ class Studio:
     def send(self, message: Any) -> None:
         """Send the viewer one of Studio's messages."""
         self._handle.send_to_viewer(message)
+
+    def show_commands(self, commands: Sequence[ShownCommand]) -> None:
+        """Show commands of the environment from now on; each has one row of numbers."""
+        self._viewer.commands = commands
 
     def close(self, reason: str) -> None:
         """Stop serving; open pages show the reason."""
@@ -260,6 +270,8 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         self._door = door
         self._operators = operators
         self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and a scene made for it
+        self._marks: tuple[Any, list[Mark]] | None = None  # a model, and its marks
+        self.commands: Sequence[ShownCommand] = ()
         super().__init__(*args, **kwargs)
 
     @property
@@ -319,6 +331,16 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         if self._operators is not None:
             self._operators.view = self._view()
         return ready
+
+    def sync(self) -> None:
+        """Send the state, with halos, what is reached, and commands as further geoms."""
+        if self._marks is None or self._marks[0] is not self.model:
+            self._marks = (self.model, marks_of(self.model))
+        state = DataState(self.data)
+        state.commands = self.commands
+        marked = MarkedState(state, self._marks[1])
+        self.extra_geoms = [geom.made() for geom in marked.viewer_geoms(0)]
+        super().sync()
 
     def _view(self) -> View:
         """The camera of the page, which the controlling browser moves."""
@@ -450,8 +472,7 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self._camera.camera_index = ux.set_camera(
             self.viewer.model, self.viewer.camera, ux.TUMBLE_CAMERA_IDX
         )
-        if self._operators is not None:
-            look_like(self.viewer.model, self.viewer.camera, DEFAULT_VIEW)
+        look_like(self.viewer.model, self.viewer.camera, DEFAULT_VIEW)
 
     @messages.handler  # type: ignore[untyped-decorator]
     def _on_update(self, _: messages.UpdateEvent) -> None:

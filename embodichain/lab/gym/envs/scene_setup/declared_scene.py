@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeGuard
 
 import numpy as np
 
@@ -224,13 +225,9 @@ def _read_entities(
 
 
 def _check_marks(entities: Sequence[DeclaredEntity], known: Known, is_open: bool) -> list[Problem]:
-    """Return every mistake in the marks of objects."""
+    """Return every mistake in the marks of objects and of parts of articulations."""
     paths = {e.uid: e.path for e in entities}
-    marked = {
-        e.uid: e.cfg
-        for e in entities
-        if isinstance(e.cfg, RigidObjectCfg) and (e.cfg.halo or e.cfg.reached)
-    }
+    marked = {e.uid: e.cfg for e in entities if _has_marks(e.cfg)}
     if not marked:
         return []
     from embodichain.lab.sim.compiler.scene.object_marks import check_marks  # few scenes have any
@@ -238,6 +235,12 @@ def _check_marks(entities: Sequence[DeclaredEntity], known: Known, is_open: bool
     is_incomplete = is_open or None in known.values()
     mistakes = check_marks(marked, known, is_open=is_incomplete)
     return [p.below(paths[uid]) for uid, problems in mistakes.items() for p in problems]
+
+
+def _has_marks(cfg: object) -> TypeGuard[RigidObjectCfg | ArticulationCfg]:
+    if isinstance(cfg, RigidObjectCfg):
+        return cfg.halo is not None or cfg.reached is not None
+    return isinstance(cfg, ArticulationCfg) and bool(cfg.marks)
 
 
 def _check_views(

@@ -127,13 +127,13 @@ def add_ground(spec: mujoco.MjSpec, cfg: GroundCfg) -> None:
     elif cfg.type == "grid":
         _add_grid(spec, colors[0], colors[-1])
         material.textures[_RGB] = GROUND
-        material.texrepeat = 2 * [2.0 / float(cfg.tile)]  # a plane has one each 2 m at 1
+        material.texrepeat = _repeats(float(cfg.tile))
         material.specular = 0.1
         material.shininess = 0.2
     elif cfg.type == "wood":
         add_wood(spec, GROUND, colors[0], colors[-1], planks=True)
         material.textures[_RGB] = GROUND
-        material.texrepeat = 2 * [1.0 / (WOOD_LENGTH * float(cfg.tile))]
+        material.texrepeat = _repeats(WOOD_LENGTH * float(cfg.tile))
         material.specular = 0.15
         material.shininess = 0.3
     else:
@@ -150,7 +150,7 @@ def add_ground(spec: mujoco.MjSpec, cfg: GroundCfg) -> None:
             height=512,
         )
         material.textures[_RGB] = GROUND
-        material.texrepeat = 2 * [0.5 / float(cfg.tile)]
+        material.texrepeat = _repeats(2.0 * float(cfg.tile))  # an image has two tiles a side
     edge = 0.0 if cfg.size is None else 0.5 * float(cfg.size)
     plane = spec.worldbody.add_geom(
         name=GROUND,
@@ -159,6 +159,11 @@ def add_ground(spec: mujoco.MjSpec, cfg: GroundCfg) -> None:
         material=GROUND,
     )
     set_contact_parameters([plane], fixed_contact(cfg))
+
+
+def _repeats(width: float) -> list[float]:
+    """How often a plane repeats an image that covers `width` metres along x and y."""
+    return 2 * [2.0 / width]  # at 1, MuJoCo draws an image every 2 m
 
 
 # --------------------------------------------------------------------------------------------- grid

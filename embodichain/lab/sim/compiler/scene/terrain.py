@@ -141,10 +141,10 @@ def add_terrain(spec: mujoco.MjSpec, cfg: TerrainCfg, ground: GroundCfg) -> Terr
     )
     add_ground(spec, ground)
     spec.delete(spec.geom(GROUND))
-    # The texture of a height field is counted over all of it, that of a plane by the metre.
+    # The images of a height field are counted over all of it, those of a plane every 2 m.
     material = spec.material(GROUND)
     material.texuniform = False
-    material.texrepeat = 2.0 * np.array(terrain.half) * np.asarray(material.texrepeat)
+    material.texrepeat = np.array(terrain.half) * np.asarray(material.texrepeat)
     body = spec.worldbody.add_body(name=GROUND, mocap=True, pos=-terrain.origins[0, 0])
     geom = body.add_geom(
         name=GROUND,

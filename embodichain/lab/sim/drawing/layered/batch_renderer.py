@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.drawing.geometry import SceneGeometry
+from embodichain.lab.sim.drawing.geometry import SceneGeometry, overlay_geometry
 from embodichain.lab.sim.drawing.gl import Context, NumberTexture, Program, VertexBuffers
 from embodichain.lab.sim.drawing.layered import shaders
 from embodichain.lab.sim.drawing.layered.lighting import (
@@ -34,6 +34,8 @@ from embodichain.lab.sim.drawing.layered.targets import (
 )
 from embodichain.lab.sim.drawing.layered.textures import SceneTextures
 from embodichain.lab.sim.drawing.looks import SurfaceTable, Unchanged
+from embodichain.lab.sim.drawing.marks import MarkedState
+from embodichain.lab.sim.drawing.overlays import Overlay, Part, PartKind
 from embodichain.lab.sim.drawing.views import DrawnState, Output, Pictures, View
 from embodichain.utils.errors import RenderError
 from embodichain.utils.system import platforms
@@ -70,6 +72,8 @@ _DETAILS = (
 )
 _FULL_DETAIL = len(_DETAILS) - 1
 _SHADOW_DETAIL = 1
+_OVERLAY_FINISH = 0.1, 0.3, 0.15, -1.0
+"""Specular, shininess, emission and no texture, of what pictures show beside the scene."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,7 @@ class BatchRenderer:
         self._textures = SceneTextures(model)
         self._surfaces = SurfaceTable(model, self._textures.layers)
         self._meshes: dict[int, _Meshes] = {}  # level of detail -> its triangles
+        self._overlay_meshes: _OverlayMeshes | None = None
 
         # What the programs read.
         self._programs: dict[Any, Program] = {}
@@ -229,7 +234,7 @@ class BatchRenderer:
 
     def _upload(self, frame: _Frame) -> None:
         self._numbers["poses"].upload(frame.poses)
-        self._numbers["looks"].upload(self._surfaces.table)
+        self._numbers["looks"].upload(frame.looks)
         self._numbers["lights"].upload(frame.lights)
 
     # -- passes --------------------------------------------------------------------------------
@@ -258,7 +263,7 @@ class BatchRenderer:
         has_colour = "color" in target.outputs
         has_sky = self._textures.sky >= 0
         layers = target.layers
-        self._set_uniforms(far)
+        self._set_uniforms(far, geom_count=frame.poses.shape[1])
 
         lights = casters(frame.state) if full else ()
         defines: dict[str, object] = {"LIGHTS": self._model.nlight, "SHADOW_MAPS": len(lights)}
@@ -278,7 +283,7 @@ class BatchRenderer:
         for surface in meshes.kinds(self._surfaces.textured if has_colour else None):
             self._use("surfaces", {"LIGHTS": self._model.nlight, **surface.defines})
             meshes.buffers.draw(surface.key, layers)
-        has_overlay = has_colour and bool(self._surfaces.transparent.any())
+        has_overlay = has_colour and bool(self._surfaces.transparent.any() or frame.parts)
         if has_overlay:
             target.begin_overlay()
             self._draw_transparent(meshes, frame, table, defines)
@@ -323,11 +328,11 @@ class BatchRenderer:
             self._programs[key] = program
         program.use({**self._uniforms, **uniforms})
 
-    def _set_uniforms(self, far: float) -> None:
+    def _set_uniforms(self, far: float, geom_count: int) -> None:
         headlight = self._model.vis.headlight
         brightness = 1.0 if headlight.active else 0.0
         self._uniforms = {
-            "geomCount": int(self._model.ngeom),
+            "geomCount": geom_count,
             "far": far,
             "sky": float(self._textures.sky),
             "haze": tuple(self._model.vis.rgba.haze[:3].tolist()),
@@ -344,9 +349,9 @@ class BatchRenderer:
         defines: dict[str, object],
     ) -> None:
         """Draw transparent geoms of every picture, those far from its eye first."""
-        geoms = np.array(
-            [g for g in np.flatnonzero(self._surfaces.transparent) if g in meshes.geoms]
-        )
+        in_scene = [g for g in np.flatnonzero(self._surfaces.transparent) if g in meshes.geoms]
+        in_overlay = range(self._model.ngeom, self._model.ngeom + len(frame.parts))
+        geoms = np.array([*in_scene, *in_overlay], np.int64)
         if not len(geoms):
             return
         eyes = table.reshape(-1, VIEW_ROWS, 4)[:, EYE_ROW]
@@ -367,9 +372,21 @@ class BatchRenderer:
         numbers[:, 0] = np.concatenate(order)
         self._numbers["order"].upload(numbers)
         for geom, start, count in draws:
+            if geom >= self._model.ngeom:
+                self._use("transparent", defines, firstOfOrder=start)
+                self._meshes_of_overlay(frame.parts).buffers.draw(geom, count)
+                continue
             surface = meshes.single(geom, self._surfaces.textured)
             self._use("transparent", {**defines, **surface.defines}, firstOfOrder=start)
             meshes.buffers.draw(surface.key, count)
+
+    def _meshes_of_overlay(self, parts: Sequence[Part]) -> _OverlayMeshes:
+        kinds = tuple(part.kind for part in parts)
+        if self._overlay_meshes is None or self._overlay_meshes.kinds != kinds:
+            if self._overlay_meshes is not None:
+                self._overlay_meshes.close()
+            self._overlay_meshes = _OverlayMeshes(kinds, first=self._model.ngeom)
+        return self._overlay_meshes
 
     def _draw_shadows(
         self, frame: _Frame, lights: tuple[int, ...], pixels: int, defines: dict[str, object]
@@ -401,6 +418,8 @@ class BatchRenderer:
         """Free the context and everything in it."""
         self.context.make_current()
         parts: list[Any] = [*self._meshes.values(), *self._programs.values(), self._textures]
+        if self._overlay_meshes is not None:
+            parts.append(self._overlay_meshes)
         for part in [*parts, *self._numbers.values(), *self._targets.values()]:
             part.close()
         if self._shadow_maps is not None:
@@ -430,16 +449,53 @@ class _Frame:
         model = state.model
         self.state = state
         self.rows = rows
+        overlay = state.overlay if isinstance(state, MarkedState) else Overlay()
+        self.parts = overlay.parts()
         is_all = len(rows) == state.num_envs and bool((rows == np.arange(len(rows))).all())
         index: Any = slice(None) if is_all else rows  # a slice copies once less
-        self.poses = np.empty((len(rows), model.ngeom, 3, 4), np.float32)
+        count = model.ngeom + len(self.parts)
+        self.poses = np.empty((len(rows), count, 3, 4), np.float32)
         matrices = state.derived("geom_xmat").reshape(state.num_envs, model.ngeom, 3, 3)
-        self.poses[..., :3] = matrices[index]
-        self.poses[..., 3] = state.derived("geom_xpos")[index]
-        looks_are_shared = len(surfaces.table) == 1
+        self.poses[:, : model.ngeom, :, :3] = matrices[index]
+        self.poses[:, : model.ngeom, :, 3] = state.derived("geom_xpos")[index]
+        for geom, part in enumerate(self.parts, model.ngeom):
+            self.poses[:, geom, :, :3] = part.axes[index]
+            self.poses[:, geom, :, 3] = part.positions[index]
+        self.looks = surfaces.table
+        if self.parts:
+            self.looks = _with_parts(surfaces.table, self.parts)
+        looks_are_shared = len(self.looks) == 1
         look_rows = np.zeros_like(rows) if looks_are_shared else rows
         self.lights = light_table(state, rows, look_rows)
         self.positional = positional(state)
+
+
+def _with_parts(table: NDArray[np.float32], parts: Sequence[Part]) -> NDArray[np.float32]:
+    """(N, ngeom + len(parts), 4, 4) a table of `SurfaceTable` with the parts of an overlay."""
+    num_envs = len(parts[0].positions)
+    extra = np.zeros((num_envs, len(parts), 4, 4), np.float32)
+    extra[:, :, 2] = _OVERLAY_FINISH
+    extra[:, :, 3, 2] = -1.0
+    for place, part in enumerate(parts):
+        extra[:, place, 0, :3] = part.sizes
+        extra[:, place, 1] = part.colors
+    scene = np.broadcast_to(table, (num_envs, *table.shape[1:]))
+    return np.concatenate([scene, extra], axis=1)
+
+
+class _OverlayMeshes:
+    """Triangles of the parts of an overlay; the list of each is its id among the geoms."""
+
+    def __init__(self, kinds: tuple[PartKind, ...], first: int) -> None:
+        self.kinds = kinds
+        geometry = overlay_geometry(kinds, first, slices=_DETAILS[_FULL_DETAIL].slices)
+        self.buffers = VertexBuffers(geometry.vertices)
+        for geom, triangles in geometry.triangles.items():
+            self.buffers.put(geom, [triangles])
+
+    def close(self) -> None:
+        """Free it."""
+        self.buffers.close()
 
 
 @dataclass(frozen=True)
