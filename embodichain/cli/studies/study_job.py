@@ -28,13 +28,12 @@ from embodichain.cli.jobs.work.train_job import train_job
 from embodichain.cli.studies.stages import Stage, read_stage
 from embodichain.cli.sweeps.sweep_jobs import JobStoppedError, exclusive, read_summary
 from embodichain.cli.sweeps.sweep_progress import JobRow, read_numbers
-from embodichain.config.run_folder import CHECKPOINT, SUMMARY
+from embodichain.config.run_folder import CHECKPOINT, STUDY, SUMMARY
 from embodichain.config.study import Study, StudyJob, read_study
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text
 
 __all__ = [
-    "STUDY",
     "TRAINING",
     "StudyFolder",
     "evaluation_stage",
@@ -42,8 +41,6 @@ __all__ = [
     "training_stage",
 ]
 
-STUDY = "study.json"
-"""Name of the study's record in its folder."""
 TRAINING = "train"
 """Name of the folder of a job's training; those of evaluations have the variations' names."""
 _CHOSEN = "chosen.yaml"
@@ -153,6 +150,11 @@ class StudyFolder:
         except (OSError, ValueError) as error:
             raise ConfigError(f"cannot read {path}: {error}") from error
         return content
+
+    def tables(self) -> list[Path]:
+        """The files of results that exist."""
+        names = ("episodes.csv", "episodes.parquet", "summary.csv", "results.md", "results.json")
+        return [self.path / name for name in names if (self.path / name).is_file()]
 
     def has_results(self, study: Study) -> bool:
         """Whether any evaluation of a study is done."""

@@ -51,6 +51,7 @@ class StudyOptions:
 def command(options: StudyOptions) -> int | None:
     """Run what is left of a study, and write its results."""
     from embodichain.cli.studies.dry_run import job_table
+    from embodichain.cli.studies.policy_check import check_policies
     from embodichain.cli.studies.results import write_results
     from embodichain.cli.studies.run_study import folder_of, run_jobs, run_searches
     from embodichain.cli.studies.study_page import write_page
@@ -63,6 +64,7 @@ def command(options: StudyOptions) -> int | None:
     study = resolve_study(options.name, lines)
     check_jobs(study)
     place = folder_of(study)
+    check_policies(study, place)
     if options.dry_run:
         title, rows = job_table(study, place)
         if options.json:
