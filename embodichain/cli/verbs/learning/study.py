@@ -66,7 +66,12 @@ def command(options: StudyOptions) -> int | None:
     place = folder_of(study)
     check_policies(study, place)
     if options.dry_run:
-        title, rows = job_table(study, place)
+
+        def say(line: str) -> None:
+            if not quiet:
+                sys.stderr.write(f"{line}\n")
+
+        title, rows = job_table(study, place, say)
         if options.json:
             print_json({"jobs": rows})
         else:
