@@ -108,7 +108,7 @@ impact: $(RUNS)
 	rm -rf build/base build/golden
 	git worktree prune
 	git worktree add --detach build/base "$(BASE)"
-	cd build/base && PYTHONPATH=. $(BIN)/python $(CURDIR)/scripts/golden_logs.py $(CURDIR)/build/golden
+	cd build/base && PYTHONPATH="$(CURDIR)/build/base" $(abspath $(BIN))/python $(CURDIR)/scripts/golden_logs.py $(CURDIR)/build/golden
 	git worktree remove --force build/base
 	$(BIN)/embodichain impact build/golden/*/rollout.mcap
 

@@ -24,6 +24,7 @@ __all__ = [
     "CONFIG",
     "LOG",
     "SHARDS",
+    "STUDY",
     "SUMMARY",
     "abandon",
     "adopt",
@@ -53,6 +54,8 @@ SUMMARY = "summary.json"
 """File name of a run's summary."""
 SWEEP = "multirun.yaml"
 """A file in the folder of a sweep, which contains those of its jobs."""
+STUDY = "study.json"
+"""A file in the folder of a study, which contains those of its jobs."""
 LATEST = "latest"
 _USED = (
     "{} contains a run already, and a folder is used for one run only. To repeat a command until "
@@ -248,9 +251,12 @@ def newest_run(output_root: str | Path, *holding: str) -> Path | None:
 
 
 def whole_run(folder: Path) -> Path:
-    """Return the sweep that a run is a job of, or the run's own folder."""
-    sweeps = (parent for parent in folder.parents if (parent / SWEEP).is_file())
-    return next(sweeps, folder)
+    """Return the study or the sweep that a run is a job of, or the run's own folder."""
+    for name in (STUDY, SWEEP):  # the jobs of a study are a sweep, too
+        for parent in folder.parents:
+            if (parent / name).is_file():
+                return parent
+    return folder
 
 
 def named_checkpoint(path: str | Path) -> Path:

@@ -99,10 +99,11 @@ class StudyJob:
                 resolved = resolved.changed(policy=policy)
         # What a training chooses and warns of, it says when it is trained.
         notes = tuple(note for note in resolved.notes if not note.path.startswith("algo"))
-        # A policy that was trained in the clean task is meant to act in the changed one.
+        # A policy of this job was trained in the task that the study says; one of a file may differ
+        # by the variations alone, unless `allow_changed=true` is among the overrides.
         return replace(resolved, notes=notes).changed(
             num_envs=evaluate.episodes,
-            allow_changed=True,
+            allow_changed=self.trains or bool(resolved.tree["allow_changed"]),
             record={**resolved.tree["record"], **({} if evaluate.record else {"format": "none"})},
             quiet=True,
         )

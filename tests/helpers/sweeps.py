@@ -1,5 +1,6 @@
 """Tiny sweeps for tests, and what their jobs learned."""
 
+import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -34,3 +35,28 @@ def results(job: Path) -> dict[str, Any]:
     found = summary(job)
     same = {n: found[n] for n in ("seed", "env_steps", "episodes", "mean_return", "objective")}
     return {**same, "eval": found["eval"]["returns"]}
+
+
+STUDY = """
+tasks: [cart_pole]
+arms: {zero: {policy: zero}, broken: {policy: 'broken_policy:act'}}
+evaluate: {episodes: 2, record: false}
+"""
+
+
+def write_study(folder: Path) -> None:
+    """Write the study `tiny` into a folder, with an arm whose policy raises an error."""
+    (folder / "conf/study").mkdir(parents=True)
+    (folder / "conf/study/tiny.yaml").write_text(STUDY)
+    code = "def act(obs, env):\n    raise RuntimeError('no arm')\n"
+    (folder / "broken_policy.py").write_text(code)
+
+
+def check_study(folder: Path, code: int, said: str) -> None:
+    """Check what a launcher has made of the study `tiny`: the arm that works has its results."""
+    assert code == 1, said
+    assert "broken-cart_pole-0: eval-clean failed: " in said and "no arm" in said
+    assert "1 of 2 jobs failed; the same command runs them again" in said
+    with (folder / "outputs/studies/tiny/episodes.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [(row["arm"], row["episode"]) for row in rows] == [("zero", "0"), ("zero", "1")]

@@ -20,14 +20,20 @@ from markupsafe import Markup
 from embodichain.cli.pages.headline import Result, headline
 from embodichain.cli.pages.page import render_page
 from embodichain.cli.pages.run_page import fact_rows
-from embodichain.cli.pages.run_record import EVALUATION, RunRecord, named_damage, read_record
+from embodichain.cli.pages.run_record import (
+    EVALUATION,
+    RunRecord,
+    named_damage,
+    read_json,
+    read_record,
+)
 from embodichain.cli.pages.thumbnails import Thumbnail, Thumbnails
 from embodichain.cli.terminal.output import to_json
 from embodichain.config.composition.locate import display_path
-from embodichain.config.run_folder import CONFIG, SUMMARY, SWEEP, whole_run
+from embodichain.config.run_folder import CONFIG, STUDY, SUMMARY, SWEEP, whole_run
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["page_of_runs", "runs_in"]
+__all__ = ["page_of_runs", "runs_in", "studies_in"]
 
 _REPORT = "report.html"
 _RUN_FILES = ("overrides.yaml", "versions.json", SUMMARY, EVALUATION)
@@ -63,7 +69,8 @@ class IndexRow:
         record: The run; None if its files are damaged.
         name: Its folder below that of the index.
         link: Address of its report; empty if it has none.
-        sweep_link: Address of the page of the sweep that it is a job of; empty if there is none.
+        whole: ``study`` or ``sweep``, what it is a job of; empty if that has no page.
+        whole_link: Address of that page.
         about: What was typed, without the task.
         begun: When it began; empty if damaged.
         problem: What is damaged.
@@ -75,13 +82,29 @@ class IndexRow:
     record: RunRecord | None
     name: str
     link: str
-    sweep_link: str = ""
+    whole: str = ""
+    whole_link: str = ""
     about: str = ""
     begun: str = ""
     problem: str = ""
     results: Mapping[str, Result] = field(default_factory=dict)
     thumbnail: Thumbnail | None = None
     compared: Compared | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StudyRow:
+    """A study above the table.
+
+    Attributes:
+        name: Its folder below that of the index.
+        link: Address of its report; empty if it has none.
+        description: What it says about itself.
+    """
+
+    name: str
+    link: str
+    description: str
 
 
 def runs_in(folder: Path) -> Iterator[Path]:
@@ -95,6 +118,16 @@ def runs_in(folder: Path) -> Iterator[Path]:
             yield Path(place)
         else:
             names[:] = sorted(name for name in names if not name.startswith("."))
+
+
+def studies_in(folder: Path) -> Iterator[Path]:
+    """Yield the folders of studies below a folder, or the folder itself."""
+    for place, names, files in os.walk(folder):
+        if STUDY in files or CONFIG in files:
+            names.clear()
+        names[:] = sorted(name for name in names if not name.startswith("."))
+        if STUDY in files:
+            yield Path(place)
 
 
 def page_of_runs(folder: Path, out: Path, say: Callable[[str], None]) -> str:
@@ -118,6 +151,7 @@ def page_of_runs(folder: Path, out: Path, say: Callable[[str], None]) -> str:
                 rows.append(_row(read_record(run), folder, out, thumbnails))
         except ConfigError as error:
             rows.append(_damaged_row(run, folder, out, error))
+    studies = [_study_row(study, folder, out) for study in studies_in(folder)]
     if not rows:
         raise ConfigError(f"{folder} has no run: there is no {CONFIG} of one in it or below")
     rows.sort(key=lambda row: row.begun, reverse=True)
@@ -126,6 +160,7 @@ def page_of_runs(folder: Path, out: Path, say: Callable[[str], None]) -> str:
         "title": f"{'sweep' if is_sweep else 'runs'} {folder.name}",
         "heading": "Sweep" if is_sweep else "Runs",
         "folder": display_path(folder),
+        "studies": studies,
         "rows": rows,
         "columns": _columns(rows),
         "notes": thumbnails.notes,
@@ -149,11 +184,13 @@ def _row(record: RunRecord, folder: Path, out: Path, thumbnails: Thumbnails) -> 
     for result in headline(record):
         name = "success" if "success" in result.name or result.name == "yield" else result.name
         results.setdefault(name, result)
+    whole, whole_link = _whole_link(record.folder, folder, out)
     return IndexRow(
         record=record,
         name=_name(record.folder, folder),
         link=_link(record.folder, out),
-        sweep_link=_sweep_link(record.folder, folder, out),
+        whole=whole,
+        whole_link=whole_link,
         about=" ".join(words),
         begun=f"{record.begun:%Y-%m-%d %H:%M:%S}",
         results=results,
@@ -170,10 +207,19 @@ def _name(run: Path, folder: Path) -> str:
     return str(run.relative_to(folder)) if run != folder else run.name
 
 
-def _sweep_link(run: Path, folder: Path, out: Path) -> str:
-    """The address of the page of a job's sweep; empty if this page is that of the sweep."""
-    sweep = whole_run(run)
-    return "" if sweep in (run, folder) else _link(sweep, out)
+def _study_row(study: Path, folder: Path, out: Path) -> StudyRow:
+    config = read_json(study / STUDY).get("config") or {}
+    description = str(config.get("description") or "")
+    return StudyRow(name=_name(study, folder), link=_link(study, out), description=description)
+
+
+def _whole_link(run: Path, folder: Path, out: Path) -> tuple[str, str]:
+    """What a run is a job of, and the address of its page; empty if this page is that."""
+    whole = whole_run(run)
+    link = "" if whole in (run, folder) else _link(whole, out)
+    if not link:
+        return "", ""
+    return ("study" if (whole / STUDY).is_file() else "sweep"), link
 
 
 def _link(run: Path, out: Path) -> str:

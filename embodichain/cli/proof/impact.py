@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.types import EnvObs
     from embodichain.recording.read.api import Log
 
-__all__ = ["Impact", "as_row", "impact_elsewhere", "impact_of"]
+__all__ = ["Impact", "as_row", "impact_elsewhere", "impact_of", "impacts_of"]
 
 _STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat")
 _CONFIG_KEYS = ("task", "embodiment", "variation", "sim", "device", "gym_config")
@@ -119,6 +119,33 @@ def impact_of(path: Path, overrides: Sequence[str] = (), *, trust: bool = False)
         finally:
             env.close()
         return _summarize(impact, recorded, log, counted)
+
+
+def impacts_of(
+    paths: Sequence[Path], overrides: Sequence[str] = (), *, trust: bool = False
+) -> list[Impact]:
+    """Play logs again, see `impact_of`. One that cannot be played does not end the others.
+
+    Args:
+        paths: The logs.
+        overrides: As of `impact_of`.
+        trust: As of `impact_of`.
+
+    Raises:
+        ConfigError: No log can be played.
+    """
+    impacts: list[Impact] = []
+    errors: list[ConfigError] = []
+    for path in paths:
+        try:
+            impacts.append(impact_of(path, overrides, trust=trust))
+        except ConfigError as error:
+            reason = " ".join(str(error).split())
+            impacts.append(Impact(str(path), task="", envs=0, reason=reason))
+            errors.append(error)
+    if len(errors) == len(paths):
+        raise errors[0]
+    return impacts
 
 
 def impact_elsewhere(
@@ -294,6 +321,8 @@ def as_row(impact: dict[str, Any]) -> dict[str, Any]:
         "flips": impact["flips"],
     }
     if impact["reason"]:
+        if not impact["envs"]:  # it could not be played at all
+            row |= {"parted": "-", "successes": "-", "flips": "-"}
         row["by"] = impact["reason"]
     elif impact["first_step"] is not None:
         row["first step"] = f"{impact['first_step']} (environment {impact['first_env']})"

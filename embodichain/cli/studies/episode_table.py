@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from embodichain.cli.studies.study_job import StudyFolder
 from embodichain.config.study import Study, StudyJob
-from embodichain.utils.system.atomic import temporary_name
+from embodichain.utils.system.atomic import atomic_file
 
 __all__ = ["EpisodeTable", "read_episodes", "write_table"]
 
@@ -123,12 +123,13 @@ def write_table(table: EpisodeTable, folder: Path) -> list[Path]:
         The files.
     """
     path = folder / "episodes.csv"
-    partial = path.with_name(temporary_name(path.name))
-    with partial.open("w", newline="", encoding="utf-8") as stream:
+    with (
+        atomic_file(path) as partial,
+        partial.open("w", newline="", encoding="utf-8") as stream,
+    ):
         writer = csv.DictWriter(stream, table.columns)
         writer.writeheader()
         writer.writerows(table.rows)
-    partial.replace(path)
     files = [path]
     if importlib.util.find_spec("pyarrow") is not None:
         files.append(_write_parquet(table, folder / "episodes.parquet"))
@@ -143,7 +144,6 @@ def _write_parquet(table: EpisodeTable, path: Path) -> Path:
         return [row.get(name) for row in table.rows]
 
     columns = {name: values_of(name) for name in table.columns}
-    partial = path.with_name(temporary_name(path.name))
-    parquet.write_table(pyarrow.table(columns), partial)
-    partial.replace(path)
+    with atomic_file(path) as partial:
+        parquet.write_table(pyarrow.table(columns), partial)
     return path

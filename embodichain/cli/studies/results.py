@@ -23,7 +23,8 @@ from embodichain.cli.studies.episode_table import (
     write_table,
 )
 from embodichain.cli.studies.stages import read_stage
-from embodichain.cli.studies.study_job import STUDY, StudyFolder
+from embodichain.cli.studies.study_job import StudyFolder
+from embodichain.config.run_folder import STUDY
 from embodichain.config.study import Study
 from embodichain.learning.evaluation.across_tasks import (
     TaskSummary,

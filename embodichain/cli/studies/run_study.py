@@ -64,6 +64,10 @@ class StudyStates:
         """See `JobStates`."""
         return [self.place.row(job) for job in self._begun()]
 
+    def log(self, name: str) -> Path:
+        """See `JobStates`."""
+        return self.place.log(self.study.job(name))
+
     def _begun(self) -> list[StudyJob]:
         return [job for job in self.study.jobs() if self.place.job(job).is_dir()]
 
@@ -116,7 +120,7 @@ def _has_chosen(folder: Path, asked: dict[str, Any]) -> bool:
 
 def run_jobs(
     study: Study, place: StudyFolder, hydra_lines: Sequence[str], *, quiet: bool
-) -> list[StudyJob]:
+) -> None:
     """Run what is left of the jobs of a study.
 
     Args:
@@ -125,14 +129,13 @@ def run_jobs(
         hydra_lines: Overrides of Hydra's own keys, such as the launcher.
         quiet: Whether to show no progress.
 
-    Returns:
-        The jobs that failed.
-
     Raises:
-        SweepError: Processes of jobs were killed.
+        SweepError: Processes of jobs were killed, after the others have ended.
         Interrupted: A signal came.
     """
     plan = plan_jobs(study, place, hydra_lines)
+    for job in study.jobs():
+        place.forget_outcome(job)
     folder = place.path
     command = command_line()
 
@@ -141,7 +144,6 @@ def run_jobs(
         run_study_job(folder, str(config.job), num_threads=sim.get("num_threads"), command=command)
 
     launch_jobs(JOB_CONFIG, run_job, plan, StudyStates(place, study), quiet=quiet)
-    return [job for job in study.jobs() if place.failure(job) is not None]
 
 
 def plan_jobs(study: Study, place: StudyFolder, hydra_lines: Sequence[str]) -> Plan:

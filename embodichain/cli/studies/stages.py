@@ -68,7 +68,10 @@ class Stage:
         if reason is None:
             return False
         say(reason)
-        is_outdated = bool(record) and record.get("inputs") != made_from
+        # An evaluation is not continued, only a training.
+        is_outdated = bool(record) and (
+            record.get("inputs") != made_from or self.verb != "train"
+        )
         with enter(
             self.folder, self.resolved, self.verb, is_outdated=lambda: is_outdated
         ) as entered:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import traceback
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,16 +26,14 @@ from embodichain.cli.jobs.work.evaluate_job import (
 )
 from embodichain.cli.jobs.work.train_job import train_job
 from embodichain.cli.studies.stages import Stage, read_stage
-from embodichain.cli.sweeps.sweep_jobs import JobStoppedError
+from embodichain.cli.sweeps.sweep_jobs import JobStoppedError, exclusive, read_summary
 from embodichain.cli.sweeps.sweep_progress import JobRow, read_numbers
-from embodichain.config.run_folder import CHECKPOINT
+from embodichain.config.run_folder import CHECKPOINT, STUDY, SUMMARY
 from embodichain.config.study import Study, StudyJob, read_study
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text
 
 __all__ = [
-    "FAILURE",
-    "STUDY",
     "TRAINING",
     "StudyFolder",
     "evaluation_stage",
@@ -41,10 +41,6 @@ __all__ = [
     "training_stage",
 ]
 
-STUDY = "study.json"
-"""Name of the study's record in its folder."""
-FAILURE = "failure.json"
-"""Name of a job's file about the error that ended it."""
 TRAINING = "train"
 """Name of the folder of a job's training; those of evaluations have the variations' names."""
 _CHOSEN = "chosen.yaml"
@@ -122,11 +118,26 @@ class StudyFolder:
 
     def failure(self, job: StudyJob) -> dict[str, Any] | None:
         """What ended a job; None if nothing did."""
-        path = self.job(job) / FAILURE
-        if not path.is_file():
-            return None
-        failure: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return failure
+        summary = read_summary(self.job(job))
+        return summary if summary.get("status") == "failed" else None
+
+    def log(self, job: StudyJob) -> Path:
+        """The newest `run.log` of a job's stages, which need not exist."""
+        logs = sorted(self.job(job).glob("*/run.log"), key=lambda path: path.stat().st_mtime_ns)
+        return logs[-1] if logs else self.training(job) / "run.log"
+
+    def exclusive(self) -> AbstractContextManager[None]:
+        """Let no other process run the study while the context lasts.
+
+        Raises:
+            JobRunsError: Another process runs it.
+            ConfigError: The folder above cannot be made.
+        """
+        return exclusive(self.path, "study")
+
+    def forget_outcome(self, job: StudyJob) -> None:
+        """Remove what an earlier start has said about the end of a job."""
+        (self.job(job) / SUMMARY).unlink(missing_ok=True)
 
     def results(self, job: StudyJob, variation: str) -> dict[str, Any] | None:
         """The content of `eval.json` of an evaluation that is done, else None."""
@@ -140,6 +151,19 @@ class StudyFolder:
             raise ConfigError(f"cannot read {path}: {error}") from error
         return content
 
+    def tables(self) -> list[Path]:
+        """The files of results that exist."""
+        names = ("episodes.csv", "episodes.parquet", "summary.csv", "results.md", "results.json")
+        return [self.path / name for name in names if (self.path / name).is_file()]
+
+    def has_results(self, study: Study) -> bool:
+        """Whether any evaluation of a study is done."""
+        return any(
+            read_stage(self.evaluation(job, variation)).get("done")
+            for job in study.jobs()
+            for variation in study.variations
+        )
+
     def is_finished(self, job: StudyJob) -> bool:
         """Whether every evaluation of a job is done."""
         stages = [self.evaluation(job, variation) for variation in job.study.variations]
@@ -151,7 +175,7 @@ class StudyFolder:
         if job.trains:
             stages.insert(0, self.training(job))
         done = sum(bool(read_stage(folder).get("done")) for folder in stages)
-        if (self.job(job) / FAILURE).is_file():
+        if self.failure(job) is not None:
             state = "failed"
         elif done == len(stages):
             state = "finished"
@@ -181,13 +205,15 @@ def run_study_job(folder: Path, name: str, *, num_threads: int | None, command: 
     study = place.read()
     job = study.job(name)
     runner = _Runner(place, job, num_threads, command)
-    (place.job(job) / FAILURE).unlink(missing_ok=True)
+    place.forget_outcome(job)
     try:
         runner.run()
     except JobStoppedError:
         raise
     except Exception as error:  # noqa: BLE001  (the other jobs go on; it is said and written)
         _write_failure(place, job, runner.stage, error)
+    else:
+        _write_outcome(place, job, {"status": "finished"})
 
 
 def _write_failure(place: StudyFolder, job: StudyJob, stage: str, error: Exception) -> None:
@@ -198,6 +224,7 @@ def _write_failure(place: StudyFolder, job: StudyJob, stage: str, error: Excepti
     if log.is_file():
         tail = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_TAIL:]
     facts = {
+        "status": "failed",
         "stage": stage,
         "error": text,
         "is_config_error": isinstance(error, ConfigError),
@@ -205,8 +232,17 @@ def _write_failure(place: StudyFolder, job: StudyJob, stage: str, error: Excepti
         "last_lines": tail,
         "traceback": traceback.format_exc(),
     }
-    write_text(place.job(job) / FAILURE, json.dumps(facts, indent=2) + "\n")
+    _write_outcome(place, job, facts)
     sys.stderr.write(f"{job.name}: {stage} failed: {text}\n")
+
+
+def _write_outcome(place: StudyFolder, job: StudyJob, facts: Mapping[str, Any]) -> None:
+    """Write how a job has ended into its folder, for launchers and for the end of the study."""
+    path = place.job(job) / SUMMARY
+    try:
+        write_text(path, json.dumps(facts, indent=2) + "\n")
+    except OSError as error:  # a full disk: the other jobs go on, and the study counts this one
+        sys.stderr.write(f"{job.name}: cannot write {path}: {error}\n")
 
 
 class _Runner:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -85,19 +86,20 @@ def write_page(study: Study, place: StudyFolder, results: StudyResults) -> Path:
     """
     path = place.path / "report.html"
     try:
-        write_text(path, page_of_study(study, place, results))
+        write_text(path, page_of_study(study, place, results, path))
     except OSError as error:
         raise ConfigError(f"cannot write {path}: {error}") from error
     return path
 
 
-def page_of_study(study: Study, place: StudyFolder, results: StudyResults) -> str:
+def page_of_study(study: Study, place: StudyFolder, results: StudyResults, out: Path) -> str:
     """Return the page of a study as HTML; films of failed episodes are written beside it.
 
     Args:
         study: The study.
         place: Its folder.
         results: Its results.
+        out: Where the page will be; it links to films and logs from there.
     """
     notes = list(results.notes)
     unfinished = [job.name for job in study.jobs() if not place.is_finished(job)]
@@ -119,9 +121,9 @@ def page_of_study(study: Study, place: StudyFolder, results: StudyResults) -> st
         "description": study.cfg.description,
         "results": list(_headline(study, results)),
         "sections": sections,
-        "episodes": _failed_episodes(study, place, notes),
+        "episodes": _failed_episodes(study, place, out, notes),
         "notes": notes,
-        "files": [quote(path.name) for path in results.files],
+        "files": [(path.name, _address(path, out)) for path in place.tables()],
         "config": dump_yaml(study.tree),
     }
     return render_page("study.html.tmpl", context)
@@ -225,7 +227,9 @@ def _bins(factors: Factors) -> tuple[str, list[dict[str, Any]]]:
     return f"Success by factor: {factors.arm}, {factors.task}, {factors.variation}", rows
 
 
-def _failed_episodes(study: Study, place: StudyFolder, notes: list[str]) -> list[FailedEpisode]:
+def _failed_episodes(
+    study: Study, place: StudyFolder, out: Path, notes: list[str]
+) -> list[FailedEpisode]:
     """Pictures and films of failed episodes: one of each arm, task and variation in turn."""
     by_place: list[tuple[StudyJob, str, list[PlayedEpisode]]] = []
     for job in study.jobs():
@@ -245,10 +249,16 @@ def _failed_episodes(study: Study, place: StudyFolder, notes: list[str]) -> list
             notes.append(gallery.note)
             break
         if gallery.stills and episode.log is not None:
-            log = quote(str(episode.log.relative_to(place.path)))
             title = f"{job.arm}, {job.task}, seed {job.seed}, {variation}"
             film = _film(place, job, variation, episode, notes)
-            episodes.append(FailedEpisode(title, gallery.stills[0], film, log))
+            episodes.append(
+                FailedEpisode(
+                    title=title,
+                    still=gallery.stills[0],
+                    film="" if film is None else _address(film, out),
+                    log=_address(episode.log, out),
+                )
+            )
     return episodes
 
 
@@ -265,8 +275,8 @@ def _failed(folder: Path) -> list[PlayedEpisode]:
 
 def _film(
     place: StudyFolder, job: StudyJob, variation: str, episode: PlayedEpisode, notes: list[str]
-) -> str:
-    """Film an episode unless its film is there; return its address, empty without one."""
+) -> Path | None:
+    """Film an episode unless its film is there; return its path, None without one."""
     from embodichain.recording.film.filming import film_log
 
     suffix = ".mp4" if importlib.util.find_spec("imageio_ffmpeg") is not None else ".gif"
@@ -286,5 +296,10 @@ def _film(
             )
         except EmbodichainError as error:
             notes.append(f"no film of {job.name}, {variation}: {error}")
-            return ""
-    return quote(f"films/{name}")
+            return None
+    return path
+
+
+def _address(path: Path, out: Path) -> str:
+    """The address of a file relative to the page."""
+    return quote(os.path.relpath(path.resolve(), out.resolve().parent))

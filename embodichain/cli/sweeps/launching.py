@@ -24,9 +24,8 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from embodichain.cli.sweeps.sweep_jobs import is_finished, objective_in
+from embodichain.cli.sweeps.sweep_jobs import has_ended, objective_in
 from embodichain.config.keys.launchers import LAUNCHERS
-from embodichain.config.keys.schema import JobVerb
 from embodichain.utils.errors import EmbodichainError
 
 __all__ = ["Cluster", "ClusterJob", "ClusterLauncher", "JobError", "cluster"]
@@ -116,9 +115,9 @@ class ClusterLauncher(Launcher):
         self.config = config
 
     @property
-    def verb(self) -> JobVerb:
-        """The verb of the jobs."""
-        return self.config.hydra.job.config_name
+    def verb(self) -> str:
+        """The verb of the jobs, which is the name of their root config; or ``study_job``."""
+        return str(self.config.hydra.job.config_name)
 
     @abstractmethod
     def run_jobs(self, jobs: Sequence[ClusterJob], sweep: Path) -> Mapping[int, str]:
@@ -150,7 +149,8 @@ class ClusterLauncher(Launcher):
             for number, overrides in enumerate(job_overrides, initial_job_idx)
         ]
         # A finished job returns at once, with the result that its folder has.
-        results = {job.number: job.run() for job in jobs if is_finished(job.folder, self.verb)}
+        ended = [job for job in jobs if has_ended(job.folder, self.verb)]
+        results = {job.number: job.run() for job in ended}
         unfinished_jobs = [job for job in jobs if job.number not in results]
         reasons = self.run_jobs(unfinished_jobs, sweep) if unfinished_jobs else {}
         for job in unfinished_jobs:
@@ -242,10 +242,10 @@ def _compose(
     return composed
 
 
-def _read_result(job: ClusterJob, verb: JobVerb, reason: str) -> JobReturn:
+def _read_result(job: ClusterJob, verb: str, reason: str) -> JobReturn:
     """Return the result of a job that has ended, which its folder has, for Hydra's sweepers."""
     result = JobReturn(list(job.overrides), OmegaConf.create())
-    if is_finished(job.folder, verb):
+    if has_ended(job.folder, verb):
         result.status = JobStatus.COMPLETED
         result.return_value = objective_in(job.folder)
         return result

@@ -32,10 +32,13 @@ from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 from embodichain.utils.system import platforms
 
 __all__ = [
+    "STUDY_JOB",
     "Entered",
     "JobStoppedError",
     "differences",
     "enter",
+    "exclusive",
+    "has_ended",
     "is_finished",
     "objective_in",
     "process_log",
@@ -44,6 +47,8 @@ __all__ = [
     "stop_mark",
 ]
 
+STUDY_JOB = "study_job"
+"""The root config of the jobs of studies, in the place of a verb."""
 State = Literal["new", "finished", "resumable", "learned", "stopped"]
 _MAY_DIFFER = (
     "quiet",
@@ -88,7 +93,7 @@ class JobStoppedError(EmbodichainError):
 
 
 class JobRunsError(EmbodichainError):
-    """Another process runs the job."""
+    """Another process runs the job, or the study."""
 
 
 @contextmanager
@@ -115,7 +120,7 @@ def enter(
         JobRunsError: Another process runs the job.
     """
     resolved = resolved.pinned()
-    with _lock(folder):
+    with exclusive(folder, "job"):
         state = state_in(folder, verb)
         if state == "new":
             if not (folder / CONFIG).is_file():
@@ -186,6 +191,19 @@ def is_finished(folder: Path, verb: JobVerb) -> bool:
     return not eval_cfg.get("episodes")
 
 
+def has_ended(folder: Path, verb: str) -> bool:
+    """Whether a launcher has nothing left to do for the job of a folder.
+
+    Args:
+        folder: The job's folder.
+        verb: The verb of the job, or ``study_job``: such a job writes its own errors into its
+            folder, so it has ended whatever its status is.
+    """
+    if verb == STUDY_JOB:
+        return "status" in read_summary(folder)
+    return is_finished(folder, "train" if verb == "train" else "run")
+
+
 def objective_in(folder: Path) -> float | None:
     """Return the objective of a finished job, from its `summary.json`."""
     summary = read_summary(folder)
@@ -229,8 +247,17 @@ def stop_mark(sweep: Path) -> Path:
 
 
 @contextmanager
-def _lock(folder: Path) -> Iterator[None]:
-    """Lock the folder's name; the lock ends with the process that has it (flock(2))."""
+def exclusive(folder: Path, noun: str) -> Iterator[None]:
+    """Lock the folder's name; the lock ends with the process that has it (flock(2)).
+
+    Args:
+        folder: The folder, which need not exist.
+        noun: What the folder is of, for messages: ``job`` or ``study``.
+
+    Raises:
+        JobRunsError: Another process has the lock.
+        ConfigError: The folder above cannot be made.
+    """
     path = folder.with_name(f".{folder.name}.lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -243,10 +270,10 @@ def _lock(folder: Path) -> Iterator[None]:
 
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            message = f"{folder}: another process runs this job now{_owner(stream)}"
+            message = f"{folder}: another process runs this {noun} now{_owner(stream)}"
             raise JobRunsError(message) from error
         except (ImportError, OSError) as error:  # Windows, and some network file systems
-            _log.warning("%s cannot be locked (%s): start no job of it twice", folder, error)
+            _log.warning("%s cannot be locked (%s): do not start it twice", folder, error)
         _note_owner(stream)
         yield
 

@@ -32,7 +32,14 @@ from embodichain.lab.sim.engine.cpu.mujoco_process import all_cores
 from embodichain.lab.sim.engine.engine_register import ENGINES
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Plan", "compose_for_hydra", "plan_sweep", "swept_keys", "with_sweepers_params"]
+__all__ = [
+    "Plan",
+    "compose_for_hydra",
+    "needs_machine",
+    "plan_sweep",
+    "swept_keys",
+    "with_sweepers_params",
+]
 
 LAUNCHER = "hydra/launcher"
 _FOLDER = "hydra.sweep.dir"
@@ -138,7 +145,7 @@ def plan_sweep(config_name: str, overrides: Sequence[str], first: Resolved) -> P
     launcher = str(config.hydra.runtime.choices[LAUNCHER])
     is_chosen = launcher != _BASIC or any(_key_of(line) == LAUNCHER for line in lines)
     can_be_parallel = min(cores, most_at_once) > 1 and _JOBLIB in installed
-    if can_be_parallel and not is_chosen and not _needs_machine(first):
+    if can_be_parallel and not is_chosen and not needs_machine(first):
         launcher = _JOBLIB
         lines.append(f"{LAUNCHER}={launcher}")
         config = compose_for_hydra(config_name, lines)
@@ -171,8 +178,12 @@ def _key_of(override: str) -> str:
     return override.lstrip("+").partition("=")[0]
 
 
-def _needs_machine(job: Resolved) -> bool:
-    """Whether a job takes the GPU, a cluster or a viewer's port, which jobs cannot share."""
+def needs_machine(job: Resolved) -> bool:
+    """Whether a job takes the GPU, a cluster or a viewer's port, which jobs cannot share.
+
+    Args:
+        job: The job's config.
+    """
     sim = job.tree["sim"]
     if not _is_on_cores(sim["engine"]) or sim["backend"] != "local":
         return True

@@ -59,6 +59,9 @@ class JobStates(Protocol):
     def rows(self) -> list[JobRow]:
         """The states of the jobs that have begun, for the table of progress."""
 
+    def log(self, name: str) -> Path:
+        """The newest `run.log` of a job, which need not exist."""
+
 
 @dataclass(frozen=True)
 class JobsOfVerb:
@@ -93,8 +96,19 @@ class JobsOfVerb:
         """See `JobStates`."""
         return job_rows(self.plan.folder, self.plan.keys)
 
+    def log(self, name: str) -> Path:
+        """See `JobStates`."""
+        return self.plan.folder / name / "run.log"
 
-def run_sweep(plan: Plan, states: JobStates, job: Callable[[], Any], *, quiet: bool) -> None:
+
+def run_sweep(
+    plan: Plan,
+    states: JobStates,
+    job: Callable[[], Any],
+    *,
+    quiet: bool,
+    jobs_are_quiet: bool = False,
+) -> None:
     """Run a sweep with Hydra.
 
     Args:
@@ -102,6 +116,7 @@ def run_sweep(plan: Plan, states: JobStates, job: Callable[[], Any], *, quiet: b
         states: Reads the states of its jobs.
         job: Hydra's `main`.
         quiet: Whether only errors and the jobs' results are written.
+        jobs_are_quiet: Whether no job shows its own progress, also where it is the only one.
 
     Raises:
         SweepError: Jobs failed. They are shown with the last lines of their logs.
@@ -114,7 +129,7 @@ def run_sweep(plan: Plan, states: JobStates, job: Callable[[], Any], *, quiet: b
     stop = StopFlag()
     try:
         with ExitStack() as stack:
-            if plan.is_parallel and not quiet:
+            if (plan.is_parallel or jobs_are_quiet) and not quiet:
                 stack.enter_context(show_progress(states.rows, plan.jobs))
             if plan.launcher == "joblib":
                 stack.enter_context(_workers_of_joblib(stop, plan.folder))
@@ -135,8 +150,8 @@ def run_sweep(plan: Plan, states: JobStates, job: Callable[[], Any], *, quiet: b
         sys.stderr.write(f"{killed_worker or error}\n")
         for name in unfinished_jobs:
             # Jobs that only ended with the killed worker have nothing to say.
-            if not killed_worker or _has_logged_error(plan.folder / name):
-                _show_logs(plan.folder, name)
+            if not killed_worker or _has_logged_error(states.log(name)):
+                _show_logs(name, states.log(name), process_log(plan.folder, name))
         raise SweepError(_count_finished(plan, states)) from error
 
 
@@ -276,16 +291,16 @@ def _describe_killed_worker(error: Exception) -> str:
     )
 
 
-def _has_logged_error(folder: Path) -> bool:
+def _has_logged_error(log: Path) -> bool:
     """Whether a job's log has an error, and did not just end with its process."""
     with suppress(OSError):
-        return _ENDED_BY in (folder / "run.log").read_text(encoding="utf-8", errors="replace")
+        return _ENDED_BY in log.read_text(encoding="utf-8", errors="replace")
     return False
 
 
-def _show_logs(sweep: Path, name: str) -> None:
+def _show_logs(name: str, *logs: Path) -> None:
     """Write the last lines of a job's logs to stderr."""
-    for path in (sweep / name / "run.log", process_log(sweep, name)):
+    for path in logs:
         try:
             lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError:

@@ -198,7 +198,7 @@ def launch_jobs(
         arguments = ["--multirun", *relax(plan.overrides, loader)]
     places, _ = search_path(plan.overrides)
     with searched(places), _process(f"embodichain {config_name}", arguments):
-        run_sweep(plan, states, job, quiet=quiet)
+        run_sweep(plan, states, job, quiet=quiet, jobs_are_quiet=True)
 
 
 def _check_package(verb: JobVerb, options: JobOptions, overrides: Sequence[str]) -> None:

@@ -69,6 +69,19 @@ def test_another_scene_cannot_be_compared(golden: Path, capsys: Any) -> None:
     assert code == 1 and "columns of actions, " in log["reason"]
 
 
+def test_a_log_that_cannot_be_played_does_not_end_the_others(
+    golden: Path, tmp_path: Path, capsys: Any
+) -> None:
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(golden.read_bytes()[:5000])
+    assert main(["impact", str(broken), str(golden), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert not found["same"]
+    assert [log["parted"] for log in found["logs"]] == [0, 0]
+    assert "it was not closed, or cut" in found["logs"][0]["reason"]
+    assert found["logs"][1]["reason"] == ""
+
+
 def test_another_interpreter_plays_the_logs(golden: Path, capsys: Any) -> None:
     code, log = impact(capsys, str(golden), "--with-python", sys.executable)
     assert code == 0 and log["parted"] == 0

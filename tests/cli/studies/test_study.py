@@ -37,6 +37,7 @@ evaluate: {episodes: 4}
 compare: {metrics: [return]}
 """
 ONE_BY_ONE = "hydra/launcher=basic"
+DRY = "--dry-run"
 UNRECORDED = "evaluate.record=false"  # no log, so no pictures and films of failed episodes
 
 
@@ -153,7 +154,22 @@ def test_a_job_that_fails_does_not_stop_the_others(write_study, capsys) -> None:
     assert "broken-cart_pole-0: eval-clean failed: " in said.err and "no arm" in said.err
     assert "1 of 2 jobs failed; the same command runs them again" in said.err
     assert {row["arm"] for row in episodes_of(folder)} == {"zero"}
-    Path("broken_policy.py").write_text("def act(obs, env):\n    return env.zero_action\n")
+
+    # Its page is written again from its files, and the index of all runs has it.
+    page = (folder / "report.html").read_bytes()
+    assert main(["report", str(folder), "--quiet"]) == 0
+    assert (folder / "report.html").read_bytes() == page
+    assert main(["report", "outputs", "--quiet"]) == 0
+    index = Path("outputs/index.html").read_text()
+    assert '<a href="./studies/mini/report.html">studies/mini</a>' in index
+    assert '<a href="./studies/mini/report.html">study</a>' in index  # of each of its runs
+
+    # A study of which nothing is done says the same, and no more.
+    write_study("none", text)
+    capsys.readouterr()
+    assert main(["study", "none", "seeds=[0]", "~arms.zero", UNRECORDED, ONE_BY_ONE]) == 1
+    said = capsys.readouterr().err
+    assert "no arm" in said and "1 of 1 jobs failed" in said and "error: " not in said
 
 
 def test_jobs_of_workers_are_those_of_one_process(write_study) -> None:
@@ -271,3 +287,26 @@ def test_a_search_is_frozen_before_the_evaluations(write_study, capsys) -> None:
     capsys.readouterr()
     assert main(search) == 0
     assert len(list((folder / "search/ppo-cart_pole").glob("*/summary.json"))) == len(trials)
+
+    # What it has trained is refused in another task, before anything starts.
+    training = folder / "jobs/ppo-cart_pole-0/train"
+    other = write_study("other", MINI.replace("policy: random", f"policy: {training}"))
+    assert main(["study", "other", "tasks=[cart_pole,reach]"]) == 2
+    said = capsys.readouterr().err
+    assert "arm random, task reach" in said and "this task has (21,)" in said
+    assert "task cart_pole" not in said and not other.exists()
+    heavier = "evaluate.overrides=['task.physics.gravity=[0,0,-3]']"
+    assert main(["study", "other", heavier]) == 2
+    assert "was trained in another task" in capsys.readouterr().err
+    assert main(["study", "other", heavier.replace("]']", "]',allow_changed=true]"), DRY]) == 0
+
+
+def test_two_processes_do_not_run_one_study(write_study, capsys) -> None:
+    from embodichain.cli.sweeps.sweep_jobs import exclusive
+
+    folder = write_study("mini", MINI)
+    with exclusive(folder, "study"):
+        assert main(["study", "mini", ONE_BY_ONE]) == 1
+    said = capsys.readouterr().err
+    assert "another process runs this study now (process " in said
+    assert not folder.exists()

@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 from tests.helpers.extras import needs
 from tests.helpers.inside import places_of
 from tests.helpers.ray_cluster import ray_cluster
-from tests.helpers.sweeps import TINY, summary
+from tests.helpers.sweeps import TINY, check_study, summary, write_study
 
 pytestmark = [
     needs("ray"),
@@ -53,6 +53,15 @@ def test_a_search_keeps_its_trials(cluster: tuple[Any, list[Any]], tmp_path: Pat
 
     study = optuna.load_study(study_name="gammas", storage=storage)
     assert [trial.state.name for trial in study.trials] == ["COMPLETE", "COMPLETE"]
+
+
+def test_a_study_runs_its_jobs_on_ray(cluster: tuple[Any, list[Any]], tmp_path: Path) -> None:
+    write_study(tmp_path)
+    on_ray = ("hydra/launcher=ray", f"hydra.launcher.address={cluster[0].address}")
+    command = [sys.executable, "-m", "embodichain", "study", "tiny", "--quiet", *on_ray]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    _, said = process.communicate(timeout=GUARD)
+    check_study(tmp_path, process.returncode, said)
 
 
 def test_a_job_whose_node_died_goes_on_on_another(

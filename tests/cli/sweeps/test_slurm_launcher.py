@@ -18,7 +18,7 @@ import pytest
 from embodichain.cli import main
 from tests.helpers.inside import places_of
 from tests.helpers.slurm_cluster import Slurm, slurm, why_not
-from tests.helpers.sweeps import TINY, learned, results, summary
+from tests.helpers.sweeps import TINY, check_study, learned, results, summary, write_study
 
 GUARD = 240.0
 """Seconds after which something hangs."""
@@ -146,6 +146,18 @@ def test_what_slurm_refuses_is_said(cluster: Slurm, tmp_path: Path) -> None:
     )
     assert code == 2, said
     assert "invalid partition specified: nowhere" in said
+
+
+def test_a_study_runs_its_jobs_on_slurm(cluster: Slurm, tmp_path: Path) -> None:
+    write_study(tmp_path)
+    command = [sys.executable, "-m", "embodichain", "study", "tiny", "--quiet", *ON_SLURM]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, env=cluster.env, stderr=subprocess.PIPE, text=True
+    )
+    code, said = ended(process)
+    check_study(tmp_path, code, said)
+    log = (tmp_path / "outputs/studies/tiny/jobs/.logs/zero-cart_pole-0.log").read_text()
+    assert "zero-cart_pole-0: eval-clean: begins" in log
 
 
 def test_nothing_of_a_cluster_survives(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from embodichain.cli.sweeps.launching import ClusterJob, ClusterLauncher, cluster
-from embodichain.cli.sweeps.sweep_jobs import is_finished, process_log
+from embodichain.cli.sweeps.sweep_jobs import has_ended, process_log
 from embodichain.cli.terminal.process import INTERRUPTED, Interrupted, signals_raise
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -173,7 +173,7 @@ class SlurmLauncher(ClusterLauncher):
                 # A job that is queued again is in a final state for a moment.
                 final_time = now - last_active.setdefault(job.number, now)
                 has_left = is_final and final_time >= _SETTLING_TIME_S
-                if not has_left and not is_finished(job.folder, self.verb):
+                if not has_left and not has_ended(job.folder, self.verb):
                     all_ended = False
             if all_ended or now > deadline:
                 return {number: states[identity] for number, identity in identities.items()}

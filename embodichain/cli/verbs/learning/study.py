@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import click
 
@@ -49,9 +51,11 @@ class StudyOptions:
 def command(options: StudyOptions) -> int | None:
     """Run what is left of a study, and write its results."""
     from embodichain.cli.studies.dry_run import job_table
+    from embodichain.cli.studies.policy_check import check_policies
     from embodichain.cli.studies.results import write_results
     from embodichain.cli.studies.run_study import folder_of, run_jobs, run_searches
     from embodichain.cli.studies.study_page import write_page
+    from embodichain.cli.sweeps.sweep_run import SweepError
     from embodichain.config.study import check_jobs, resolve_study
 
     quiet = options.quiet or options.json
@@ -60,35 +64,56 @@ def command(options: StudyOptions) -> int | None:
     study = resolve_study(options.name, lines)
     check_jobs(study)
     place = folder_of(study)
+    check_policies(study, place)
     if options.dry_run:
-        title, rows = job_table(study, place)
+
+        def say(line: str) -> None:
+            if not quiet:
+                sys.stderr.write(f"{line}\n")
+
+        title, rows = job_table(study, place, say)
         if options.json:
             print_json({"jobs": rows})
         else:
             print_table(title, rows)
         return None
-    place.write(study)
-    run_searches(study, place, hydra_lines)
-    failed = run_jobs(study, place, hydra_lines, quiet=quiet)
-    results = write_results(study, place)
-    page = write_page(study, place, results)
-    if options.json:
-        print_json(results.as_dict())
-    elif not options.quiet:
-        for title, rows in results.tables():
-            print_table(title, rows)
-        for note in results.notes:
-            sys.stdout.write(f"{note}\n")
-        sys.stdout.write(f"{page}\n")
-    for job in failed:
-        failure = place.failure(job) or {}
-        sys.stderr.write(f"{job.name}: {failure.get('stage')} failed: {failure.get('error')}\n")
-        sys.stderr.write("".join(f"  {line}\n" for line in failure.get("last_lines", [])))
-    if failed:
-        sys.stderr.write(f"{len(failed)} of {len(study.jobs())} jobs failed; the same command ")
+    with place.exclusive():
+        place.write(study)
+        run_searches(study, place, hydra_lines)
+        killed: SweepError | None = None
+        try:
+            run_jobs(study, place, hydra_lines, quiet=quiet)
+        except SweepError as error:  # what the other jobs have done is not lost
+            killed = error
+        unfinished = [job for job in study.jobs() if not place.is_finished(job)]
+        if place.has_results(study):
+            results = write_results(study, place)
+            page = write_page(study, place, results)
+            if options.json:
+                print_json(results.as_dict())
+            elif not options.quiet:
+                for title, rows in results.tables():
+                    print_table(title, rows)
+                sys.stdout.write("".join(f"{note}\n" for note in results.notes))
+                sys.stdout.write(f"{page}\n")
+    for job in unfinished:
+        _say_failure(job.name, place.failure(job))
+    if killed is not None:
+        raise killed
+    if unfinished:
+        sys.stderr.write(f"{len(unfinished)} of {len(study.jobs())} jobs failed; the same command ")
         sys.stderr.write("runs them again\n")
         return FAILED
     return None
+
+
+def _say_failure(name: str, failure: Mapping[str, Any] | None) -> None:
+    """Say what ended a job, with the last lines of its log."""
+    if failure is None:  # its process was killed
+        sys.stderr.write(f"{name}: not finished\n")
+        return
+    sys.stderr.write(f"{name}: {failure['stage']} failed: {failure['error']}\n")
+    sys.stderr.write("".join(f"  {line}\n" for line in failure["last_lines"]))
 
 
 def _is_hydras(word: str) -> bool:

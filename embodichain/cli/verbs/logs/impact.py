@@ -55,7 +55,7 @@ class ImpactOptions:
 @click.option("--trust", is_flag=True, help="Import modules that a task or a log names.")
 def command(options: ImpactOptions) -> int:
     """Play logs again with their actions; print which episodes part, where, and by how much."""
-    from embodichain.cli.proof.impact import as_row, impact_elsewhere, impact_of
+    from embodichain.cli.proof.impact import as_row, impact_elsewhere, impacts_of
 
     overrides = [word for word in options.words if _is_override(word)]
     logs = [log_of(word) for word in options.words if word not in overrides]
@@ -65,8 +65,8 @@ def command(options: ImpactOptions) -> int:
     if options.with_python is not None:
         impacts = impact_elsewhere(Path(options.with_python), logs, overrides, trust=options.trust)
     else:
-        impacts = [asdict(impact_of(log, overrides, trust=options.trust)) for log in logs]
-    is_same = not any(impact["parted"] or impact["flips"] for impact in impacts)
+        impacts = [asdict(impact) for impact in impacts_of(logs, overrides, trust=options.trust)]
+    is_same = not any(impact["parted"] or impact["flips"] or impact["reason"] for impact in impacts)
     if options.json:
         print_json({"same": is_same, "logs": impacts})
     elif not options.quiet:

@@ -26,7 +26,7 @@ class ReportOptions:
     """What was typed after `report`.
 
     Attributes:
-        run: The folder of a run or a sweep, a folder with runs below it, or ``last``.
+        run: The folder of a run, a sweep or a study, a folder with runs below it, or ``last``.
         output: Path of a new page; None replaces that of the folder.
         quiet: Print no progress and no report.
         json: Print the result as one JSON object.
@@ -42,6 +42,7 @@ class ReportOptions:
     "report",
     ("report last", "of the newest run, into its folder"),
     ("report outputs", "an index of all runs: sort, search, compare two"),
+    ("report outputs/studies/reach_light", "of a study, from what is done of it"),
     ("report outputs/latest -o reach.html", "into a file to send around"),
     options=ReportOptions,
     quiet=True,
@@ -49,7 +50,9 @@ class ReportOptions:
 @click.argument("run", metavar="RUN", shell_complete=complete_last)
 @click.option("--output", "-o", metavar="OUT", help="A new file. Default: RUN/report.html.")
 def command(options: ReportOptions) -> None:
-    """Write a page about a run, a training, an evaluation or a sweep: RUN is its folder, or `last`.
+    """Write a page about a run or a training, an evaluation, a sweep or a study: RUN is its folder.
+
+    The word `last` is the newest.
 
     Of a folder with runs below it, such as `outputs`, it is an index of these, `index.html`.
     The page in the folder is replaced, a file named by --output is not.
@@ -88,15 +91,17 @@ def command(options: ReportOptions) -> None:
 
 
 def _kind_of_page(folder: Path) -> str:
-    """What the page of a folder is of: a ``run``, a ``sweep``, or an ``index`` of runs.
+    """What the page of a folder is of: a ``run``, a ``study``, a ``sweep``, or an ``index`` of runs.
 
     A sweep without a finished training has nothing to compare: its page is the index of its jobs.
     """
     from embodichain.cli.sweeps.sweep_report import has_finished_training
-    from embodichain.config.run_folder import CONFIG, SWEEP
+    from embodichain.config.run_folder import CONFIG, STUDY, SWEEP
 
     if (folder / CONFIG).is_file():
         return "run"
+    if (folder / STUDY).is_file():
+        return "study"
     if (folder / SWEEP).is_file() and has_finished_training(folder):
         return "sweep"
     return "index"
@@ -107,6 +112,14 @@ def _page(folder: Path, kind: str, out: Path, say: Callable[[str], None]) -> str
         from embodichain.cli.pages.run_page import page_of_run
 
         return page_of_run(folder)
+    if kind == "study":
+        from embodichain.cli.studies.results import read_results
+        from embodichain.cli.studies.study_job import StudyFolder
+        from embodichain.cli.studies.study_page import page_of_study
+
+        place = StudyFolder(folder)
+        study = place.read()
+        return page_of_study(study, place, read_results(study, place), out)
     if kind == "sweep":
         from embodichain.cli.sweeps.sweep_report import page_of_sweep
 
@@ -117,19 +130,19 @@ def _page(folder: Path, kind: str, out: Path, say: Callable[[str], None]) -> str
 
 
 def _find_folder(name: str) -> Path:
-    """The folder of a run or a sweep; of the word ``last``, the newest.
+    """The folder of a run, a sweep or a study; of the word ``last``, the newest.
 
     Raises:
         ConfigError: There is no such run.
     """
     from embodichain.cli.sweeps.sweep_report import has_finished_training
-    from embodichain.config.run_folder import CONFIG, find_run, newest_run, whole_run
+    from embodichain.config.run_folder import CONFIG, STUDY, find_run, newest_run, whole_run
 
     newest = newest_run("outputs", CONFIG) if name == "last" else None
     if newest is None:
         return find_run(name)  # its error says that there is no run yet
-    sweep_or_run = whole_run(newest)
+    whole = whole_run(newest)
     # The page of a sweep compares trainings: without one, the page is of the run.
-    if has_finished_training(sweep_or_run):
-        return announce_last(sweep_or_run)
+    if (whole / STUDY).is_file() or has_finished_training(whole):
+        return announce_last(whole)
     return announce_last(newest)
