@@ -30,7 +30,7 @@ from embodichain.utils.suggest import did_you_mean, listing
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["Register", "load_entry_points"]
+__all__ = ["Register", "entries_of", "load_entry_points"]
 
 logger = logging.getLogger(__name__)
 
@@ -167,7 +167,7 @@ class Register(Generic[T]):
             ConfigError: If there is no such thing.
         """
         top = self.place(name).partition(".")[0].partition(":")[0]
-        for entry in _entries(self.group):
+        for entry in entries_of(self.group):
             if entry.module.partition(".")[0] == top and entry.dist is not None:
                 return entry.dist.name
         return ""
@@ -239,7 +239,7 @@ class Register(Generic[T]):
 
     def _entry_values(self) -> dict[str, str]:
         """Name of an entry point -> the module that it names."""
-        return {entry.name: entry.module for entry in _entries(self.group)}
+        return {entry.name: entry.module for entry in entries_of(self.group)}
 
 
 def load_entry_points(group: str, contents: str) -> list[str]:
@@ -256,7 +256,7 @@ def load_entry_points(group: str, contents: str) -> list[str]:
         a warning.
     """
     broken: list[str] = []
-    for entry in _entries(group):
+    for entry in entries_of(group):
         try:
             entry.load()
         except Exception as error:  # another package's module may raise anything
@@ -271,8 +271,8 @@ def load_entry_points(group: str, contents: str) -> list[str]:
     return broken
 
 
-def _entries(group: str) -> list[EntryPoint]:
-    """The entry points of a group, by name."""
+def entries_of(group: str) -> list[EntryPoint]:
+    """Return the entry points of a group, by name."""
     return sorted(_installed_entries(tuple(sys.path)).select(group=group))
 
 

@@ -91,9 +91,10 @@ def check_embodiment(
     absent = [need for need in needs if not _has(robots_here, need)]
     if not absent:  # else the task is composed with each embodiment, which takes seconds
         return list(problems)
-    options = _options(composed)
+    choices = _Choices(composed)
+    options = {option: _robots(choices.of(option).tree) for option in list_options(EMBODIMENT)}
     # What no embodiment has is a mistake of its own too, such as a misspelt name.
-    having_joints = _HavingJoints(composed, options, check)
+    having_joints = _HavingJoints(choices, options, check)
     missing = [
         need
         for need in absent
@@ -113,7 +114,7 @@ def check_embodiment(
         option
         for option, robots in options.items()
         if all(_has(robots, need) or option in having_joints.of(need) for need in missing)
-        and _can_load(composed, option, robots)
+        and _can_load(choices, option, robots)
     ]
     hint = "No embodiment has all of it: embodichain list embodiments."
     if having:
@@ -122,7 +123,7 @@ def check_embodiment(
     mistake = Problem(EMBODIMENT, message, hint, _place(composed, name))
     others = [problem for problem in problems if not _follows(problem, paths)]
     if others and having:
-        others = _shared(composed, others, check(_compose_with(composed, having[0])).problems)
+        others = _shared(composed, others, check(choices.of(having[0])).problems)
     return [mistake, *others]
 
 
@@ -156,22 +157,44 @@ def _without_embodiment(
     return [mistake, *_shared(composed, problems, with_embodiment.problems)]
 
 
+class _Choices:
+    """The present config with other embodiments, each composed once.
+
+    Args:
+        composed: The present config.
+    """
+
+    def __init__(self, composed: Composed) -> None:
+        self.present = composed
+        self._lines = [
+            line for line in composed.overrides if not line.lstrip("+~").startswith(EMBODIMENT)
+        ]
+        self._composed: dict[str, Composed] = {}
+
+    def of(self, option: str) -> Composed:
+        """Return the config with an embodiment."""
+        if option not in self._composed:
+            lines = [*self._lines, f"{EMBODIMENT}={option}"]
+            self._composed[option] = compose(lines, self.present.config_name)
+        return self._composed[option]
+
+
 class _HavingJoints:
     """The embodiments that have joints which a task names; their files are read when asked.
 
     Args:
-        composed: The composed config.
+        choices: The config with other embodiments.
         options: Embodiment -> uid -> its robot.
         check: Checks a config with another embodiment.
     """
 
     def __init__(
         self,
-        composed: Composed,
+        choices: _Choices,
         options: Mapping[str, Mapping[str, Mapping[str, Any]]],
         check: Callable[[Composed], Check],
     ) -> None:
-        self._composed = composed
+        self._choices = choices
         self._options = options
         self._check = check
         self._scenes: dict[str, Known] = {}
@@ -193,7 +216,7 @@ class _HavingJoints:
     def _scene(self, option: str) -> Known:
         """The entities of the task's scene with another embodiment; none if it cannot be read."""
         if option not in self._scenes:
-            scene = self._check(_compose_with(self._composed, option)).scene
+            scene = self._check(self._choices.of(option)).scene
             self._scenes[option] = {} if scene is None else scene.known
         return self._scenes[option]
 
@@ -224,10 +247,10 @@ def _has_file(robot: Mapping[str, Any]) -> bool:
     return any(robot.get(key) for key in _FILE_KEYS)
 
 
-def _can_load(composed: Composed, option: str, robots: Mapping[str, Mapping[str, Any]]) -> bool:
+def _can_load(choices: _Choices, option: str, robots: Mapping[str, Mapping[str, Any]]) -> bool:
     """Whether an embodiment has no mistake as far as its files show, nothing compiled."""
-    other = _compose_with(composed, option)
-    paths_here = {problem.path for problem in composed.problems}
+    other = choices.of(option)
+    paths_here = {problem.path for problem in choices.present.problems}
     if any(problem.path not in paths_here for problem in other.problems):
         return False
     mistakes = [*other.problems, *check_types(other.tree).problems]
@@ -314,19 +337,6 @@ def _robots(tree: Any) -> dict[str, Mapping[str, Any]]:
         for uid, robot in robots.items()
         if isinstance(robot, Mapping) and _has_file(robot)
     }
-
-
-def _options(composed: Composed) -> dict[str, Mapping[str, Mapping[str, Any]]]:
-    """Embodiment -> uid -> its robot, composed with the task as the present one is."""
-    return {
-        option: _robots(_compose_with(composed, option).tree) for option in list_options(EMBODIMENT)
-    }
-
-
-def _compose_with(composed: Composed, option: str) -> Composed:
-    """The present config with another embodiment."""
-    lines = [line for line in composed.overrides if not line.lstrip("+~").startswith(EMBODIMENT)]
-    return compose([*lines, f"{EMBODIMENT}={option}"], composed.config_name)
 
 
 def _missing_needs(task: EnvCfg, known: Known) -> Iterator[_Need]:

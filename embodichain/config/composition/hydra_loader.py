@@ -8,8 +8,8 @@ in the process are not affected.
 
 from __future__ import annotations
 
+import copy
 import errno
-import importlib.metadata
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -31,9 +31,11 @@ from hydra.core.override_parser.types import Override
 from hydra.core.plugins import Plugins
 from hydra.core.utils import setup_globals
 from hydra.errors import HydraException, MissingConfigException
+from hydra.plugins.config_source import ConfigResult
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 
+from embodichain.config.composition.config_files import TextRepository
 from embodichain.config.composition.defaults_lists import (
     chosen_twice,
     explain_defaults,
@@ -52,6 +54,7 @@ from embodichain.config.composition.locate import (
 from embodichain.config.composition.registered_options import PLACE, RegisteredOptions
 from embodichain.config.gymnasium_ids import CONFIG_MODULE, ENTRY_POINTS, LOCAL
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.register import entries_of
 from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
@@ -208,6 +211,7 @@ class _Loader(ConfigLoaderImpl):
 
     def __init__(self, config_search_path: ConfigSearchPath) -> None:
         super().__init__(config_search_path)
+        self.repository = TextRepository(config_search_path)
         self.merged: tuple[ResultDefault, ...] = ()
 
     def _compose_config_from_defaults_list(
@@ -215,6 +219,14 @@ class _Loader(ConfigLoaderImpl):
     ) -> DictConfig:
         self.merged = tuple(defaults)
         return super()._compose_config_from_defaults_list(defaults, repo)
+
+    @staticmethod
+    def _embed_result_config(ret: ConfigResult, package_override: str | None) -> ConfigResult:
+        embedded = ConfigLoaderImpl._embed_result_config(ret, package_override)
+        if embedded is ret:  # at the root: Hydra would merge the shared content itself, not a copy
+            embedded = copy.copy(ret)
+            embedded.config = copy.deepcopy(ret.config)
+        return embedded
 
     def get_group_options(
         self,
@@ -250,7 +262,7 @@ class EmbodichainSearchPath(SearchPathPlugin):
             folder = Path(place.removeprefix("file://"))
             if place.startswith("pkg://") or (folder.is_dir() and folder != own):
                 search_path.prepend(provider, place)
-        for entry in sorted(importlib.metadata.entry_points(group=ENTRY_POINTS)):
+        for entry in entries_of(ENTRY_POINTS):
             search_path.append(entry.name, f"pkg://{entry.value}")
         search_path.append("embodichain", PLACE)
 

@@ -1,5 +1,6 @@
 """What overrides, experiments and folders of one's own make of the tree; what Hydra keeps."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,52 @@ def test_terms_and_entities_are_added_and_deleted(write_task: WriteTask) -> None
     assert composed.tree["task"]["events"] == {}
     assert list(composed.tree["task"]["objects"]) == ["ball", "box", "wall"]
     assert list(composed.tree["task"]["rewards"]) == ["near", "slow"]
+
+
+def test_a_file_that_is_edited_is_read_anew(write_task: WriteTask) -> None:
+    write_task("    weight: 0.5", "    weight: 0.5")
+    first = compose(["task=mine"])
+    file = Path("conf/task/mine.yaml")
+    before = file.stat()
+    write_task("    weight: 0.5", "    weight: 0.7")
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))  # the same size at the same time
+    assert first.tree["task"]["rewards"]["near"]["weight"] == 0.5
+    assert compose(["task=mine"]).tree["task"]["rewards"]["near"]["weight"] == 0.7
+
+
+def test_a_composition_leaves_the_next_one_alone(write_task: WriteTask) -> None:
+    write_task()
+    Path("conf/experiment").mkdir()
+    Path("conf/experiment/fast.yaml").write_text(
+        "# @package _global_\ndefaults:\n  - override /task: mine\n\n"
+        "task: {rewards: {near: {weight: 2}}}\n"
+    )
+    lines = ["experiment=fast", "+task.objects.wall={body_type: static}", "task.suggested=null"]
+    first = compose(lines)
+    first.tree["task"]["objects"].clear()
+    compose([*lines, "~task.events.move", "task.rewards.near.weight=9", "num_envs=3"])
+    last = compose(lines)
+    assert last.tree["task"]["rewards"]["near"]["weight"] == 2
+    assert list(last.tree["task"]["objects"]) == ["ball", "box", "wall"]
+    assert "move" in last.tree["task"]["events"]
+    assert last.tree["num_envs"] == first.tree["num_envs"]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("rewards:\t{}\n", "found character '\\t' that cannot start any token"),
+        ("rewards: {}\nevents: {}\nrewards: {}\n", "found duplicate key rewards"),
+        ("rewards: [\n", "malformed YAML: "),
+        ("rewards: !!python/name:os.system {}\n", "tags are not used here"),
+    ],
+)
+def test_malformed_files_are_refused_each_time(write_task: WriteTask, text: str, told: str) -> None:
+    write_task(text=text)
+    for _ in range(2):
+        (problem,) = compose(["task=mine"]).problems
+        assert told in problem.message
+        assert problem.source.startswith("conf/task/mine.yaml")
 
 
 def test_anchors_and_merge_keys(write_task: WriteTask) -> None:

@@ -9,7 +9,8 @@ import yaml
 
 import embodichain
 from embodichain.cli import main
-from embodichain.config.composition.composed import compose, list_options
+from embodichain.config.composition.composed import compose, compose_variations, list_options
+from embodichain.config.composition.variations import merge_variations
 from embodichain.config.resolved import resolve
 from embodichain.utils.errors import ConfigError
 
@@ -59,11 +60,17 @@ def _model_field(name: str, *overrides: str, num_envs: int = 4) -> np.ndarray:
         env.close()
 
 
+@pytest.fixture(scope="module")
+def plain_states() -> np.ndarray:
+    """The states of `push_cube` without variations."""
+    return _states("push_cube")
+
+
 @pytest.mark.parametrize("variation", VARIATIONS)
-def test_strength_0_changes_no_bit_of_the_physics(variation: str) -> None:
+def test_strength_0_changes_no_bit_of_the_physics(variation: str, plain_states: np.ndarray) -> None:
     weak = f"task.variations.{variation}.strength=0"
-    plain = _states("push_cube")
-    np.testing.assert_array_equal(_states("push_cube", f"variation=[{variation}]", weak), plain)
+    varied = _states("push_cube", f"variation=[{variation}]", weak)
+    np.testing.assert_array_equal(varied, plain_states)
 
 
 def test_variations_of_a_walking_robot_change_nothing_at_strength_0() -> None:
@@ -74,8 +81,8 @@ def test_variations_of_a_walking_robot_change_nothing_at_strength_0() -> None:
 
 
 @pytest.mark.parametrize("variation", ["friction", "mass", "delay", "noise"])
-def test_a_variation_changes_the_physics(variation: str) -> None:
-    assert (_states("push_cube", f"variation=[{variation}]") != _states("push_cube")).any()
+def test_a_variation_changes_the_physics(variation: str, plain_states: np.ndarray) -> None:
+    assert (_states("push_cube", f"variation=[{variation}]") != plain_states).any()
 
 
 @pytest.mark.parametrize("name", ["geom_friction", "body_mass"])
@@ -285,14 +292,20 @@ def test_a_variation_without_effect_is_noted() -> None:
     assert [note.path for note in notes] == ["task.variations.camera_pose"]
 
 
+@pytest.fixture(scope="module")
+def entries() -> dict[str, Any]:
+    """Every variation, as it is at its place in a task."""
+    return compose_variations([f"variation=[{','.join(VARIATIONS)}]"]).entries
+
+
 @pytest.mark.parametrize("task", list_options("task"))
-def test_every_variation_can_be_merged_into_every_task(task: str) -> None:
+def test_every_variation_can_be_merged_into_every_task(task: str, entries: dict[str, Any]) -> None:
+    composed = compose([f"task={task}"])
     for variation in VARIATIONS:
-        composed = compose([f"task={task}", f"variation=[{variation}]"])
-        own = compose([f"task={task}"])
-        new = [p for p in composed.problems if p not in own.problems]
-        collisions = [p for p in new if "set" not in p.message]
-        assert collisions == [], variation
+        chosen = {"variations": {variation: entries[variation]}}
+        tree = {**composed.tree, "task": {**composed.tree["task"], **chosen}}
+        merged = merge_variations(tree, composed.source)
+        assert [p for p in merged.problems if "set" not in p.message] == [], variation
 
 
 def test_a_varied_run_replays_and_repeats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
