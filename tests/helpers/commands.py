@@ -1,14 +1,16 @@
 """`embodichain ARGUMENTS` in processes of their own that do not import everything anew.
 
-One process has imported what the verbs need, two seconds of CPU time; each command is a fork of it:
-with its own pid, pipes, working directory and signals, and an exit as any interpreter's. What is
-about the start itself (imports, encodings, variables that libraries read) needs a real
-``python -m embodichain``.
+One process has imported what the verbs need, two seconds of CPU time, and has checked a config;
+each command is a fork of it: with its own pid, pipes or terminal, working directory and signals. It
+ends as any interpreter does, but for the modules that are taken apart then. What is about the start
+itself (imports, encodings, variables that libraries read) needs a real ``python -m embodichain``.
 """
 
 from __future__ import annotations
 
 import atexit
+import fcntl
+import io
 import json
 import os
 import runpy
@@ -18,12 +20,13 @@ import socket
 import subprocess
 import sys
 import tempfile
+import termios
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, NoReturn
 
 from tests.helpers.forking import (
     import_again,
@@ -48,24 +51,25 @@ def cpu_seconds() -> float:
     return sum(_cpu_seconds)
 
 
-class Command:
-    """A command that was started; its methods are those of `subprocess.Popen`.
+class Process:
+    """A process that was started, whatever it prints into.
+
+    Args:
+        arguments: After the name of the program.
+        connection: To the process that waits for it.
+        program: The module that runs.
 
     Attributes:
         args: The command, as it is typed.
         pid: Of its process.
         returncode: None until it was seen to have ended; negative for a signal.
-        stdout: What it prints.
-        stderr: What it prints there.
     """
 
     def __init__(
-        self, arguments: tuple[str, ...], connection: socket.socket, stdout: int, stderr: int
+        self, arguments: tuple[str, ...], connection: socket.socket, program: str = "embodichain"
     ) -> None:
-        self.args = ("embodichain", *arguments)
+        self.args = (program, *arguments)
         self.returncode: int | None = None
-        self.stdout: IO[str] = os.fdopen(stdout, encoding="utf-8")
-        self.stderr: IO[str] = os.fdopen(stderr, encoding="utf-8")
         self.pid = int(connection.recv(64))
         self._connection = connection
 
@@ -85,6 +89,43 @@ class Command:
             _cpu_seconds.append(float(seconds))
             self.returncode = int(code)
         return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """Send SIGKILL, unless it has ended."""
+        self.send_signal(signal.SIGKILL)
+
+
+class Command(Process):
+    """A command that was started; its methods are those of `subprocess.Popen`.
+
+    Args:
+        arguments: After the name of the program.
+        connection: To the process that waits for it.
+        stdout: The descriptor of what it prints.
+        stderr: Likewise.
+        program: The module that runs.
+
+    Attributes:
+        stdout: What it prints.
+        stderr: What it prints there.
+    """
+
+    def __init__(
+        self,
+        arguments: tuple[str, ...],
+        connection: socket.socket,
+        stdout: int,
+        stderr: int,
+        program: str = "embodichain",
+    ) -> None:
+        self.stdout: IO[str] = os.fdopen(stdout, encoding="utf-8")
+        self.stderr: IO[str] = os.fdopen(stderr, encoding="utf-8")
+        super().__init__(arguments, connection, program)
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
         """Wait for its end, and return what it printed and was not read yet."""
@@ -108,15 +149,6 @@ class Command:
         self.wait(None if end is None else max(0.0, end - time.monotonic()))
         return texts[0], texts[1]
 
-    def send_signal(self, number: int) -> None:
-        """Send a signal, unless it has ended."""
-        if self.poll() is None:
-            os.kill(self.pid, number)
-
-    def kill(self) -> None:
-        """Send SIGKILL, unless it has ended."""
-        self.send_signal(signal.SIGKILL)
-
 
 class Commands:
     """Starts commands.
@@ -128,33 +160,62 @@ class Commands:
     def __init__(self, address: str) -> None:
         self._address = address
 
-    def start(self, *arguments: str, cwd: Path | None = None) -> Command:
+    def start(
+        self, *arguments: str, cwd: Path | None = None, program: str = "embodichain"
+    ) -> Command:
         """Start a command, with this process' environment variables.
 
         Args:
             arguments: After ``embodichain``.
             cwd: Its working directory; None is the current one.
+            program: The module that runs, as with ``python -m``.
         """
-        request = {"arguments": arguments, "cwd": str(cwd or Path.cwd()), "env": dict(os.environ)}
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        connection.connect(self._address)
         out, out_end = os.pipe()
         err, err_end = os.pipe()
-        socket.send_fds(connection, [json.dumps(request).encode()], [out_end, err_end])
-        os.close(out_end)
-        os.close(err_end)
-        return Command(arguments, connection, out, err)
+        request = {"arguments": arguments, "program": program, "env": dict(os.environ)}
+        connection = self._ask(request, cwd, [out_end, err_end])
+        return Command(arguments, connection, out, err, program)
+
+    def start_in_terminal(
+        self, *arguments: str, terminal: int, cwd: Path, env: Mapping[str, str]
+    ) -> Process:
+        """Start a command whose input and output are a terminal, which it controls.
+
+        Args:
+            arguments: After ``embodichain``.
+            terminal: The descriptor of the command's end of a pseudo terminal; it is closed here.
+            cwd: Its working directory.
+            env: All of its environment variables.
+        """
+        request = {"arguments": arguments, "program": "embodichain", "env": dict(env)}
+        return Process(arguments, self._ask(request, cwd, [terminal]))
 
     def run(
-        self, *arguments: str, cwd: Path | None = None, timeout: float = 120.0
+        self,
+        *arguments: str,
+        cwd: Path | None = None,
+        timeout: float = 120.0,
+        program: str = "embodichain",
     ) -> subprocess.CompletedProcess[str]:
         """Run a command to its end, as `subprocess.run` with captured output."""
-        command = self.start(*arguments, cwd=cwd)
+        command = self.start(*arguments, cwd=cwd, program=program)
         try:
             out, err = command.communicate(timeout)
         finally:
             command.kill()
         return subprocess.CompletedProcess(command.args, command.wait(), out, err)
+
+    def _ask(
+        self, request: dict[str, object], cwd: Path | None, descriptors: list[int]
+    ) -> socket.socket:
+        """Send a request with descriptors, which are closed here; return the connection."""
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        connection.connect(self._address)
+        message = json.dumps({**request, "cwd": str(cwd or Path.cwd())}).encode()
+        socket.send_fds(connection, [message], descriptors)
+        for descriptor in descriptors:
+            os.close(descriptor)
+        return connection
 
 
 @contextmanager
@@ -181,9 +242,10 @@ def commands() -> Iterator[Commands]:
 # -- the process that forks ------------------------------------------------------------------------
 
 
-def _serve(address: str) -> bool:
-    """Fork commands until stdin is closed; returns whether this process is such a fork."""
+def _serve(address: str) -> str:
+    """Fork commands until stdin is closed; returns the program of such a fork, else nothing."""
     import_first()
+    _check_a_config()
     folder = Path(address).parent
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
         listener.bind(address)
@@ -191,36 +253,61 @@ def _serve(address: str) -> bool:
         print("ready", flush=True)
         while sys.stdin not in (ready := select.select([sys.stdin, listener], [], [])[0]):
             connection, _ = ready[0].accept()
-            request, pipes, _, _ = socket.recv_fds(connection, _LONGEST, 2)
+            message, descriptors, _, _ = socket.recv_fds(connection, _LONGEST, 2)
             for note in folder.glob("*.json"):
                 import_again(json.loads(note.read_text()))
                 note.unlink()
             keeper = os.fork()
             if not keeper:
                 listener.close()
-                if _forked(connection, *pipes):
-                    _become(json.loads(request))
+                if _forked(connection, descriptors):
+                    request = json.loads(message)
+                    _become(request)
                     atexit.register(_note_imports, folder, os.getpid(), set(sys.modules))
-                    return True
-            for descriptor in (connection.detach(), *pipes):
+                    return str(request["program"])
+            for descriptor in (connection.detach(), *descriptors):
                 os.close(descriptor)
             with suppress(ChildProcessError):
                 while os.waitpid(-1, os.WNOHANG)[0]:
                     pass
-    return False
+    return ""
 
 
-def _forked(connection: socket.socket, out: int, err: int) -> bool:
-    """Fork the command, in which True is returned; the process between waits and tells its end."""
+def _check_a_config() -> None:
+    """Check the config of a task, so that the forks have what is kept in memory.
+
+    No thread is started, since a fork has none.
+    """
+    from embodichain.cli.app import main
+
+    with redirect_stdout(io.StringIO()):
+        main(["validate", "task=cart_pole"])
+
+
+def _forked(connection: socket.socket, descriptors: list[int]) -> bool:
+    """Fork the command, in which True is returned; the process between waits and tells its end.
+
+    Args:
+        connection: To whoever has asked.
+        descriptors: Two for stdout and stderr, or a terminal.
+    """
     pid = os.fork()
     if not pid:
         connection.close()
-        for descriptor, number in ((out, 1), (err, 2), (os.open(os.devnull, os.O_RDONLY), 0)):
+        if len(descriptors) == 1:
+            (terminal,) = descriptors
+            os.setsid()
+            fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
+            streams = (terminal, terminal, terminal)
+        else:
+            streams = (os.open(os.devnull, os.O_RDONLY), *descriptors)
+        for number, descriptor in enumerate(streams):
             os.dup2(descriptor, number)
+        for descriptor in {*streams}:
             os.close(descriptor)
         return True
-    os.close(out)
-    os.close(err)
+    for descriptor in descriptors:
+        os.close(descriptor)
     with suppress(BrokenPipeError):  # nobody waits
         connection.send(str(pid).encode())
         _, status, usage = os.wait4(pid, 0)
@@ -252,5 +339,46 @@ def _note_imports(folder: Path, pid: int, before: set[str]) -> None:
     part.rename(folder / f"{pid}.json")
 
 
-if __name__ == "__main__" and _serve(sys.argv[1]):
-    runpy.run_module("embodichain", run_name="__main__", alter_sys=True)
+def _run(program: str) -> NoReturn:
+    """Run a module as ``python -m`` does, and end this process."""
+    code = 0
+    is_interrupted = False
+    try:
+        runpy.run_module(program, run_name="__main__", alter_sys=True)
+    except SystemExit as error:
+        code = _exit_code(error)
+    except BaseException as error:  # noqa: BLE001  (an interpreter prints it and ends)
+        sys.excepthook(type(error), error, error.__traceback__)
+        code = 1
+        is_interrupted = isinstance(error, KeyboardInterrupt)
+    # What an interpreter does as it ends, in its order, but for taking apart modules: that is 0.3 s
+    # of CPU time, as torch has many. These two functions have no public names.
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if not stream.closed:
+                stream.flush()
+        except OSError as error:  # nobody reads it
+            os.write(2, f"Exception ignored in: {stream}\n{error!r}\n".encode())
+            code = 120
+    if is_interrupted:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGINT)
+    os._exit(code)
+
+
+def _exit_code(error: SystemExit) -> int:
+    """Return the exit code, and print what is not a number, as an interpreter does."""
+    if error.code is None:
+        return 0
+    if isinstance(error.code, int):
+        return error.code
+    print(error.code, file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    program_of_fork = _serve(sys.argv[1])
+    if program_of_fork:
+        _run(program_of_fork)

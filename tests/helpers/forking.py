@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import importlib
 import io
+import os
 import sys
 from collections.abc import Collection, Iterable
 from contextlib import suppress
@@ -95,7 +96,9 @@ def _spare_the_collector() -> None:
 
 def open_stdout_and_stderr() -> None:
     """Make the streams anew of the descriptors 1 and 2, as an interpreter does that starts."""
-    sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), encoding="utf-8")
+    sys.stdout = io.TextIOWrapper(
+        io.FileIO(1, "w", closefd=False), encoding="utf-8", line_buffering=os.isatty(1)
+    )
     sys.stderr = io.TextIOWrapper(
         io.FileIO(2, "w", closefd=False),
         encoding="utf-8",

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import pty
 import select
-import signal
-import sys
 import time
 from pathlib import Path
 from typing import Self
+
+from tests.helpers.commands import Commands
 
 __all__ = ["Terminal"]
 
@@ -20,6 +20,7 @@ class Terminal:
     """`embodichain ARGUMENTS` in a terminal.
 
     Args:
+        commands: Starts it.
         arguments: As they are typed.
         cwd: The working directory.
 
@@ -27,23 +28,20 @@ class Terminal:
         text: What was printed so far.
     """
 
-    def __init__(self, *arguments: str, cwd: Path) -> None:
+    def __init__(self, commands: Commands, *arguments: str, cwd: Path) -> None:
         self.text = ""
-        self._ended = False
         environment = {**os.environ, "PYTHONPATH": str(_ROOT), "TERM": "dumb", "COLUMNS": "200"}
-        self._pid, self._terminal = pty.fork()
-        if self._pid == 0:
-            os.chdir(cwd)
-            command = [sys.executable, "-m", "embodichain", *arguments]
-            os.execve(sys.executable, command, environment)
+        self._terminal, other_end = pty.openpty()
+        self._process = commands.start_in_terminal(
+            *arguments, terminal=other_end, cwd=cwd, env=environment
+        )
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        if not self._ended:
-            os.kill(self._pid, signal.SIGKILL)
-            os.waitpid(self._pid, 0)
+        self._process.kill()
+        self._process.wait()
         os.close(self._terminal)
 
     def until(self, text: str, seconds: float = 60.0) -> None:
@@ -71,9 +69,7 @@ class Terminal:
         end = time.monotonic() + seconds
         while self._read(0.1):
             assert time.monotonic() < end, f"it does not end:\n{self.text}"
-        _, status = os.waitpid(self._pid, 0)
-        self._ended = True
-        return os.waitstatus_to_exitcode(status)
+        return self._process.wait()
 
     def _read(self, seconds: float) -> bool:
         """Read what comes in some time; return whether the command still runs."""

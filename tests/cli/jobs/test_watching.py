@@ -61,8 +61,8 @@ def the_summary(folder):
     return json.loads(path.read_text())
 
 
-def test_in_a_terminal_a_run_waits_plays_in_real_time_and_stays(tmp_path):
-    with Terminal("run", *SHORT, "max_steps=30", "viewer=web", cwd=tmp_path) as terminal:
+def test_in_a_terminal_a_run_waits_plays_in_real_time_and_stays(commands, tmp_path):
+    with Terminal(commands, "run", *SHORT, "max_steps=30", "viewer=web", cwd=tmp_path) as terminal:
         terminal.until(WAITS)
         assert terminal.stands(1.0)  # without the key and the page it waits
         start = time.monotonic()
@@ -77,8 +77,8 @@ def test_in_a_terminal_a_run_waits_plays_in_real_time_and_stays(tmp_path):
     assert "max_steps" in terminal.text
 
 
-def test_a_key_skips_the_wait_and_nobody_is_waited_for_at_the_end(tmp_path):
-    with Terminal("run", *SHORT, "max_steps=5", "viewer=web", cwd=tmp_path) as terminal:
+def test_a_key_skips_the_wait_and_nobody_is_waited_for_at_the_end(commands, tmp_path):
+    with Terminal(commands, "run", *SHORT, "max_steps=5", "viewer=web", cwd=tmp_path) as terminal:
         terminal.until(WAITS)
         terminal.press("x")
         assert terminal.wait() == 0
@@ -87,10 +87,10 @@ def test_a_key_skips_the_wait_and_nobody_is_waited_for_at_the_end(tmp_path):
     assert the_summary(tmp_path)["status"] == "max_steps"
 
 
-def test_ctrl_c_while_it_waits_interrupts_and_while_it_stays_does_not(tmp_path):
+def test_ctrl_c_while_it_waits_interrupts_and_while_it_stays_does_not(commands, tmp_path):
     waiting = tmp_path / "waiting"
     waiting.mkdir()
-    with Terminal("run", *SHORT, "max_steps=5", "viewer=web", cwd=waiting) as terminal:
+    with Terminal(commands, "run", *SHORT, "max_steps=5", "viewer=web", cwd=waiting) as terminal:
         terminal.until(WAITS)
         terminal.press("\x03")
         assert terminal.wait() == 130
@@ -98,7 +98,7 @@ def test_ctrl_c_while_it_waits_interrupts_and_while_it_stays_does_not(tmp_path):
     assert the_summary(waiting)["control_steps"] == 0
     staying = tmp_path / "staying"
     staying.mkdir()
-    with Terminal("run", *SHORT, "max_steps=5", "viewer=web", cwd=staying) as terminal:
+    with Terminal(commands, "run", *SHORT, "max_steps=5", "viewer=web", cwd=staying) as terminal:
         terminal.until(WAITS)
         with page_at(url_of(terminal.text)):
             terminal.until(STAYS)
@@ -108,9 +108,11 @@ def test_ctrl_c_while_it_waits_interrupts_and_while_it_stays_does_not(tmp_path):
     the_log(staying)
 
 
-def test_a_page_that_is_loaded_again_is_waited_for_and_one_that_is_closed_is_not(tmp_path):
+def test_a_page_that_is_loaded_again_is_waited_for_and_one_that_is_closed_is_not(
+    commands, tmp_path
+):
     words = ("run", *SHORT, "episodes=1000", "max_steps=2000", "viewer=web", "record=none")
-    with Terminal(*words, cwd=tmp_path) as terminal:
+    with Terminal(commands, *words, cwd=tmp_path) as terminal:
         terminal.until(WAITS)
         with page_at(url_of(terminal.text)):
             time.sleep(0.5)
@@ -122,9 +124,9 @@ def test_a_page_that_is_loaded_again_is_waited_for_and_one_that_is_closed_is_not
     assert the_summary(tmp_path)["control_steps"] == 2000
 
 
-def test_foxglove_is_waited_for_too(tmp_path):
+def test_foxglove_is_waited_for_too(commands, tmp_path):
     words = ("run", *SHORT, "max_steps=30", "viewer=foxglove", "viewer.port=18766", "record=none")
-    with Terminal(*words, cwd=tmp_path) as terminal:
+    with Terminal(commands, *words, cwd=tmp_path) as terminal:
         terminal.until("waiting until the connection is opened")
         start = time.monotonic()
         with page_at(url_of(terminal.text), subprotocols=["foxglove.websocket.v1"]):
@@ -175,6 +177,7 @@ def test_jobs_of_a_sweep_do_not_wait(capsys):
         *SHORT[:2],
         "scene_png=false",
         "seed=1,2",
+        "hydra/launcher=basic",  # workers import everything anew: seconds of CPU time
         "max_steps=3",
         "record=none",
         "viewer=foxglove",
@@ -190,15 +193,15 @@ def test_training_and_evaluation_do_not_wait(capsys):
     assert "waiting" not in capsys.readouterr().err
 
 
-def test_a_log_is_played_until_the_page_is_closed(tmp_path, monkeypatch):
+def test_a_log_is_played_until_the_page_is_closed(commands, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["run", *SHORT, "max_steps=20", "--quiet"]) == 0
-    with Terminal("replay", "last", "--view", "web", cwd=tmp_path) as terminal:
+    with Terminal(commands, "replay", "last", "--view", "web", cwd=tmp_path) as terminal:
         terminal.until(f"{WAITS}; any key or Ctrl-C ends it")
         with page_at(url_of(terminal.text)):
             assert terminal.stands(5.0)  # longer than the log: it begins again
         assert terminal.wait() == 0
-    with Terminal("replay", "last", "--view", "web", cwd=tmp_path) as terminal:
+    with Terminal(commands, "replay", "last", "--view", "web", cwd=tmp_path) as terminal:
         terminal.until(WAITS)
         terminal.press(" ")
         assert terminal.wait() == 0
@@ -219,9 +222,9 @@ def test_without_a_terminal_a_log_is_played_once(commands, tmp_path, monkeypatch
         call(["replay", "last", "--wait", "3"])
 
 
-def test_the_demo_waits_and_ends_with_its_page(tmp_path):
+def test_the_demo_waits_and_ends_with_its_page(commands, tmp_path):
     words = ("demo", "push_cube", "--web", "episodes=1000")
-    with Terminal(*words, cwd=tmp_path) as terminal:
+    with Terminal(commands, *words, cwd=tmp_path) as terminal:
         terminal.until(WAITS)
         with page_at(url_of(terminal.text)):
             assert terminal.stands(1.0)
@@ -238,8 +241,8 @@ def test_the_time_to_wait_is_checked():
 
 
 @needs_chromium
-def test_the_page_has_the_tasks_name(tmp_path):
-    with Terminal("run", *SHORT, "max_steps=3", "viewer=web", cwd=tmp_path) as terminal:
+def test_the_page_has_the_tasks_name(commands, tmp_path):
+    with Terminal(commands, "run", *SHORT, "max_steps=3", "viewer=web", cwd=tmp_path) as terminal:
         terminal.until(WAITS)
         with chromium() as visit:
             page = visit(url_of(terminal.text), 420, 600)

@@ -68,7 +68,8 @@ def test_verbs_say_which_run_last_is_and_the_report_shows_all(capsys):
 
 def test_after_a_sweep_last_is_the_sweep(capsys):
     words = [word for word in TRAIN if word != "-q"]
-    assert main([*words, "-m", "seed=1,2", "eval.episodes=0", "-q"]) == 0
+    sweep = ["-m", "seed=1,2", "hydra/launcher=basic"]
+    assert main([*words, *sweep, "eval.episodes=0", "-q"]) == 0
     capsys.readouterr()
     assert main(["compare", "last", "--json"]) == 0
     said = capsys.readouterr()
