@@ -58,8 +58,6 @@ _EXPECTED = "; expected key=value, +key=value or ~key"
             "a verb comes first: embodichain run num_envs=4, without dashes",
         ),
         (["compare", "lst"], "there is no run 'lst'. Did you mean 'last'?"),
-        (["compare", "last", "lst"], "there is no run 'lst'. Did you mean 'last'?"),
-        (["compare", "last", "lst"], "no training in outputs yet"),
         (["compare", "num_envs=2"], "num_envs=2: `compare` reads no KEY=VALUE"),
         *(
             ([*verb.split(), "lst", *more], "lst does not exist. Did you mean 'last'?")
@@ -136,6 +134,17 @@ def test_a_run_in_place_of_a_task(
     said = capsys.readouterr().err
     assert f"task: unknown option {words[1]!r}" in said
     assert said.endswith("A run is taken by eval, play, replay, report, export and compare.\n")
+
+
+def test_every_name_that_nothing_has_is_reported(
+    empty_cwd: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", "last", "lst"]) == 2
+    assert capsys.readouterr().err == (
+        "2 mistakes:\n"
+        "  no training in outputs yet: embodichain train task=NAME\n"
+        "  there is no run 'lst'. Did you mean 'last'?\n"
+    )
 
 
 def test_a_policy_of_a_training_that_did_not_finish(

@@ -211,16 +211,16 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
 
     def render(self) -> Any:
         """Tuple of one (480, 640, 3) RGB picture per environment; None unless ``rgb_array``."""
-        require_open(self._batch.env.is_closed)
         if self.render_mode != "rgb_array":  # LeRobot asks all environments for pictures
             return None
+        require_open(self._batch.env.is_closed)
         return self._batch.render()
 
     def render_one(self, index: int) -> NDArray[np.uint8] | None:
         """(480, 640, 3) RGB of one environment; None unless ``rgb_array``."""
-        require_open(self._batch.env.is_closed)
         if self.render_mode != "rgb_array":
             return None
+        require_open(self._batch.env.is_closed)
         return self._batch.env.sim.render(index)
 
     def close_extras(self, **kwargs: Any) -> None:

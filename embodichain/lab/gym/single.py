@@ -11,7 +11,6 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.describing import describe, warn_undrawn
 from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.gym.envs.observation import as_array, numpy_obs
@@ -96,7 +95,6 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """(480, 640, 3) RGB; None, with a warning, without a render mode."""
-        require_open(self.env.is_closed)
         if self.render_mode != "rgb_array":
             warn_undrawn(self.env.task_name)
             return None

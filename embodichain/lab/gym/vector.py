@@ -149,10 +149,10 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One image per environment, (480, 640, 3) RGB; None, with a warning, without a mode."""
-        require_open(self.env.is_closed)
         if self.render_mode != "rgb_array":
             warn_undrawn(self.env.task_name)
             return None
+        require_open(self.env.is_closed)
         return tuple(self.env.sim.render(None))
 
     def close_extras(self, **kwargs: Any) -> None:

@@ -288,20 +288,15 @@ class SB3VecEnv(VecEnv):
         """Close the environment."""
         self.env.close()
 
-    def render(self, mode: str | None = None) -> NDArray[np.uint8] | None:
-        """Return one picture of all environments side by side; None without ``render_mode``."""
-        require_open(self.base.is_closed)
-        return super().render(mode)
-
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """Return a picture (H, W, 3) of each environment; None without ``render_mode``.
 
         Raises:
             RenderError: If no OpenGL library works; names the package to install.
         """
-        require_open(self.base.is_closed)
         if self.render_mode != "rgb_array":
             return [None] * self.num_envs
+        require_open(self.base.is_closed)
         return list(self.base.sim.render(None))
 
     # -- recorded episodes -----------------------------------------------------------------------

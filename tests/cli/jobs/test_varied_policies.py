@@ -98,7 +98,7 @@ def test_policies_that_ship_take_variations(capsys: pytest.CaptureFixture[str]) 
         capsys, "pretrained", "task=press_button", "variation=[clutter,friction]"
     )
     assert "body clutter_can none -> here" in found["changed"]
-    assert "variations change what was in training: task.actions.arm.delay" in err
+    assert "variations change what was in training: body clutter_can" in err
     assert "changed since training" not in err
 
 
