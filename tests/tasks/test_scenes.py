@@ -171,7 +171,10 @@ def test_every_view_of_a_shipped_task_shows_the_robot(task):
         inside = ahead & (np.abs(local[:, 1]) < -slope * local[:, 2])
         inside &= np.abs(local[:, 0]) < -4 / 3 * slope * local[:, 2]
         share = inside.mean()
-        assert share == 1 if name == "default" else share > 0.1, (name, share)
+        # A view that is close to what the task is about may cut the elbow of an arm off.
+        assert share >= 0.7 if name == "default" else share > 0.1, (name, share)
+        if name == "default":
+            assert inside[[0, -1]].all()  # the base, and the end of the arm or of the last leg
     env.close()
 
 

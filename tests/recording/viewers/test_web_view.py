@@ -49,7 +49,7 @@ def test_terms_are_told_as_they_add_up_to_the_reward():
         view = WebView(env, PageOptions(env_id=1, realtime=False))
         env.add_observer(view)
         told = []
-        view._page.show = lambda row, facts: told.append(facts)
+        view._page.show = lambda row, facts, commands: told.append(facts)
         # A browser's connection; facts are sent 20 times a second, or at once.
         with visit(view._page):
             assert until(lambda: view.watched)

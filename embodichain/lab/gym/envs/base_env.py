@@ -67,7 +67,6 @@ from embodichain.lab.gym.envs.scene_setup.scene_building import (
     with_all_problems,
     with_problems_of_other_terms,
 )
-from embodichain.lab.gym.envs.shown_commands import commands_in_force
 from embodichain.lab.gym.envs.step.episodes import Episodes, parse_mode, seed_globals
 from embodichain.lab.gym.envs.step.judging import (
     JudgingHooks,
@@ -333,6 +332,10 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         if problems:
             raise ConfigError(problems)
         if self.command_manager.terms and not self.arrays.on_device:
+            from embodichain.lab.gym.envs.shown_commands import (
+                commands_in_force,  # few tasks have any
+            )
+
             self.sim.engine.commands = commands_in_force(
                 self.command_manager, cfg, self.sim.scene.model
             )

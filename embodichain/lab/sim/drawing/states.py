@@ -103,11 +103,17 @@ class StoredStates:
 
     @property
     def commands(self) -> list[ShownCommand]:
-        """Those of the stored environments, which are of one task."""
-        return [
-            replace(rows[0], values=np.concatenate([command.values for command in rows]))
-            for rows in zip(*self._commands, strict=False)
-        ]
+        """Those of the stored environments, which are of one task; NaN where they are not known."""
+        commands: list[ShownCommand] = []
+        most: list[ShownCommand] = max(self._commands, key=len, default=[])
+        for index, command in enumerate(most):
+            unknown = np.full_like(command.values, np.nan)
+            rows = [
+                stored[index].values if index < len(stored) else unknown
+                for stored in self._commands
+            ]
+            commands.append(replace(command, values=np.concatenate(rows)))
+        return commands
 
     def derived(self, name: str) -> NDArray[np.float64]:
         """(n, ...) one of `DRAWN_POSES`."""

@@ -13,6 +13,7 @@ from tests.helpers.browser import chromium, needs_chromium, picture, share_of
 pytestmark = [needs_chromium, pytest.mark.slow]
 
 BLUE, MAGENTA = (0.36, 0.62, 0.84), (1.0, 0.0, 1.0)  # of the UR10's joints; of nothing
+HALO = (0.6, 0.95, 0.6)  # a third of green over the floor
 SECONDS = 60.0
 
 
@@ -22,6 +23,7 @@ class Run:
     def __init__(self):
         overrides = ["task=push_cube", "num_envs=2", "seed=1", "sim.num_threads=1"]
         overrides += ["task.max_episode_steps=1000000"]  # only a key ends an episode
+        overrides += ["task.objects.goal.halo={radius: 0.25, color: [0, 1, 0]}"]
         self.env = make_env(resolve(overrides))
         self.view = WebView(self.env, stopped=lambda: self.stopped)
         self.env.add_observer(self.view)
@@ -113,6 +115,10 @@ def test_the_page_shows_the_robot_and_the_panel(page):
     assert (panel > 120).mean() > 0.01
     assert (image[:75].mean(axis=2) < 70).mean() < 0.2  # the scene
     press(page, "p", lambda: (picture(page)[84:124, 10:240].mean(axis=2) < 70).mean() < 0.5)
+
+
+def test_the_page_shows_halos(page):
+    wait(lambda: share_of(picture(page), HALO) > 0.005)
 
 
 def test_keys_pause_step_and_end_an_episode(page, run):

@@ -8,12 +8,14 @@ from embodichain.lab.gym.envs import BaseEnv, EnvCfg
 from embodichain.lab.sim.cfg import RigidObjectCfg, RobotCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.scene.appearance import wood
 from embodichain.lab.sim.configs.scene_cfg import (
+    FlatPatchCfg,
     GroundCfg,
     LightCfg,
     PedestalCfg,
     SceneCfg,
     SkyCfg,
     TableCfg,
+    TerrainCfg,
     ViewCfg,
 )
 from embodichain.lab.sim.shapes import CubeCfg, SphereCfg
@@ -85,6 +87,25 @@ def test_a_grid_has_lines_between_its_tiles_and_finer_ones_inside():
     fine = tile - column[10:31].min()
     assert 20 < fine < tile - column[110:131].min()
     assert abs(column[50:90] - tile).max() < 5
+
+
+@pytest.mark.parametrize("terrain", [None, TerrainCfg(patches={"a": FlatPatchCfg()}, levels=1)])
+@pytest.mark.parametrize(
+    ("kind", "period"), [("checker", 1.0), ("grid", 0.5), ("wood", 0.5)], ids=str
+)
+def test_a_tile_is_as_large_as_it_says(kind, period, terrain):
+    """A picture of 2 m from above is the same a period further, and differs half a period on."""
+    view = ViewCfg(eye=[0, 0, 10], target=[0, 0, 0], up=[0, 1, 0], fovy=np.degrees(0.2))
+    ground = GroundCfg(type=kind, tile=0.5, colors=[[0.8, 0.8, 0.8], [0.2, 0.2, 0.2]])
+    scene = SceneCfg(ground=ground, terrain=terrain, lights={}, sun=0.0, headlight=0.0, ambient=1)
+    sim = built(scene, views={"above": view})
+    line = sim.render(camera="above", width=200, height=200)[..., 0].astype(float)
+    pixels = round(100 * period)
+
+    def change(shift):
+        return np.abs(line[:, shift:] - line[:, :-shift]).mean()
+
+    assert change(pixels) < 0.35 * change(pixels // 2)
 
 
 def test_less_sun_makes_shadows_softer():
