@@ -171,6 +171,15 @@ class StudyResults:
             "files": [str(path) for path in self.files],
         }
 
+    def plain_dict(self) -> dict[str, Any]:
+        """Return `as_dict` as JSON has it: lists for tuples, numbers of Python."""
+        plain: dict[str, Any] = json.loads(json.dumps(self.as_dict(), default=_plain))
+        return plain
+
+    def texts(self) -> dict[str, str]:
+        """Return file name -> text of the summaries."""
+        return {"summary.csv": _summary_csv(self), "results.md": _markdown(self)}
+
     def tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
         """Yield a title and rows of text for each table."""
         yield self._arm_table()
@@ -226,9 +235,10 @@ def write_results(study: Study, place: StudyFolder) -> StudyResults:
     folder = place.path
     try:
         files = write_table(results.episodes, folder)
-        write_text(folder / "summary.csv", _summary_csv(results))
-        write_text(folder / "results.md", _markdown(results))
-        files += [folder / "summary.csv", folder / "results.md", folder / "results.json"]
+        for name, text in results.texts().items():
+            write_text(folder / name, text)
+            files.append(folder / name)
+        files.append(folder / "results.json")
         results = replace(results, files=tuple(files))
         text = json.dumps(results.as_dict(), indent=2, allow_nan=False, default=_plain)
         write_text(folder / "results.json", text + "\n")
@@ -247,11 +257,10 @@ def _write_receipt(study: Study, place: StudyFolder, results: StudyResults) -> N
             path = place.evaluation(job, variation) / RECEIPT
             if path.is_file():
                 receipts.append(path)
-    arms = [asdict(result) for result in results.arms]
     facts = {
         "study": study.name,
         "seeds": list(study.cfg.seeds),
-        "results": json.loads(json.dumps(arms, default=_plain)),
+        "results": results.plain_dict()["arms"],
     }
     files = [folder / STUDY, *results.files, *receipts]
     write_receipt(folder, "study", facts, files=files)
