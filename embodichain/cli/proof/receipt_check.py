@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import secrets
@@ -16,8 +15,9 @@ import numpy as np
 from embodichain.cli.jobs.code_digest import code_digest, file_digest
 from embodichain.cli.jobs.job import policy_of
 from embodichain.cli.jobs.receipt import RECEIPT, Receipt, read_receipt
+from embodichain.cli.pages.run_record import named_damage
 from embodichain.cli.studies.episode_table import wrong_tables
-from embodichain.cli.studies.results import read_results
+from embodichain.cli.studies.results import fits_models, read_results
 from embodichain.cli.studies.study_job import StudyFolder
 from embodichain.config.run_folder import versions
 from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver, StepRecord
@@ -111,7 +111,8 @@ def check_receipt(
     if receipt.kind == "study":
         _check_study(receipt, report, every=every, trust=trust, sample_seed=sample_seed)
         return report
-    _check_numbers(receipt, report)
+    with named_damage(receipt.path.parent):
+        _check_numbers(receipt, report)
     for log in receipt.logs:
         _simulate(log, report)
     if not receipt.logs:
@@ -346,7 +347,8 @@ def _check_study(
         if name not in chosen:
             unsimulated = ReceiptReport(evaluation.path)
             if _check_files(evaluation, unsimulated):
-                _check_numbers(evaluation, unsimulated)
+                with named_damage(evaluation.path.parent):
+                    _check_numbers(evaluation, unsimulated)
             found = [finding for finding in unsimulated.findings if finding.ok is False]
         else:
             of_evaluation = check_receipt(evaluation.path, trust=trust)
@@ -355,7 +357,8 @@ def _check_study(
         label = str(Path(name).parent)
         for finding in found:
             report.add(f"{label}: {finding.what}", finding.ok, finding.text)
-    _check_results(receipt, report)
+    with named_damage(receipt.path.parent):
+        _check_results(receipt, report)
 
 
 def _check_results(receipt: Receipt, report: ReceiptReport) -> None:
@@ -363,7 +366,9 @@ def _check_results(receipt: Receipt, report: ReceiptReport) -> None:
     place = StudyFolder(receipt.path.parent.resolve())
     try:
         study = place.read()
-        results = read_results(study, place)
+        written = json.loads(receipt.file("results.json").read_text(encoding="utf-8"))
+        had_models = any(factors["ranking"] is not None for factors in written["factors"])
+        results = read_results(study, place, has_models=had_models and fits_models())
     except ConfigError as error:
         report.add("table", ok=False, text=str(error))
         return
@@ -378,10 +383,9 @@ def _check_results(receipt: Receipt, report: ReceiptReport) -> None:
     computed = results.plain_dict()
     if not is_same(receipt.content["results"], computed["arms"]):
         wrong.append("those of the receipt do not follow from the episodes")
-    written = json.loads(receipt.file("results.json").read_text(encoding="utf-8"))
     names = ["arms", "across_tasks", "pairs"]
     texts = results.texts()
-    if importlib.util.find_spec("statsmodels") is None:
+    if had_models and not fits_models():
         report.add("factors", ok=None, text="their joint model needs statsmodels")
         del texts["results.md"]  # which has it
     else:

@@ -6,6 +6,7 @@ Everything is computed from the table of episodes, so that a table can be made a
 from __future__ import annotations
 
 import csv
+import importlib.util
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -47,8 +48,16 @@ from embodichain.learning.evaluation.statistics import CONFIDENCE, SeedEstimate,
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text
 
-__all__ = ["RATES", "Factors", "StudyResults", "read_results", "write_results"]
+__all__ = [
+    "RATES",
+    "Factors",
+    "StudyResults",
+    "fits_models",
+    "read_results",
+    "write_results",
+]
 
+_WITHOUT_MODELS = "the joint model of factors needs statsmodels: embodichain[study]"
 RATES = ("success",)
 """Metrics that are shares of episodes."""
 
@@ -218,6 +227,11 @@ class StudyResults:
         return f"{self.study.name}: mean over seeds [95 % interval]", list(rows.values())
 
 
+def fits_models() -> bool:
+    """Whether the extra ``study`` is installed, which fits joint models of factors."""
+    return importlib.util.find_spec("statsmodels") is not None
+
+
 def write_results(study: Study, place: StudyFolder) -> StudyResults:
     """Compute the results of what is done, and write them into the study's folder.
 
@@ -266,18 +280,28 @@ def _write_receipt(study: Study, place: StudyFolder, results: StudyResults) -> N
     write_receipt(folder, "study", facts, files=files)
 
 
-def read_results(study: Study, place: StudyFolder) -> StudyResults:
+def read_results(
+    study: Study, place: StudyFolder, *, has_models: bool | None = None
+) -> StudyResults:
     """Compute the results of what is done.
+
+    Args:
+        study: The study.
+        place: Its folder.
+        has_models: Whether to fit the joint models of factors, else a note says that there are
+            none; None is whether `fits_models`.
 
     Raises:
         ConfigError: No evaluation is done, or a file is damaged.
     """
+    if has_models is None:
+        has_models = fits_models()
     episodes = read_episodes(study, place)
     if not episodes.rows:
         raise ConfigError(f"no evaluation of the study {study.name} is done: {place.path}")
     notes = [f"not done: {job.name}" for job in study.jobs() if not place.is_finished(job)]
     pairs = tuple(_pairs(study, place, episodes)) if len(study.arms) > 1 else ()
-    factors = tuple(_factors(study, episodes, notes))
+    factors = tuple(_factors(study, episodes, notes, has_models=has_models))
     arms = tuple(_arm_results(study, episodes))
     notes += dict.fromkeys(result.over_seeds.note for result in arms if result.over_seeds.note)
     notes += dict.fromkeys(pair.note for pair in pairs if pair.note)
@@ -385,7 +409,9 @@ def _paired_values(
     return first, second
 
 
-def _factors(study: Study, episodes: EpisodeTable, notes: list[str]) -> Iterator[Factors]:
+def _factors(
+    study: Study, episodes: EpisodeTable, notes: list[str], *, has_models: bool
+) -> Iterator[Factors]:
     """Yield an analysis for each arm, task and variation in which something was drawn."""
     for task in study.tasks:
         for variation in study.variations:
@@ -396,11 +422,10 @@ def _factors(study: Study, episodes: EpisodeTable, notes: list[str]) -> Iterator
                 if not drawn or np.isnan(success).any():
                     continue
                 ranking: FactorRanking | None = None
-                try:
+                if has_models:
                     ranking = rank_factors(drawn, success > 0)
-                except ConfigError as error:  # the extra is not installed
-                    if str(error) not in notes:
-                        notes.append(str(error))
+                elif _WITHOUT_MODELS not in notes:
+                    notes.append(_WITHOUT_MODELS)
                 bins = {name: success_by_factor(v, success > 0) for name, v in drawn.items()}
                 yield Factors(arm, task, variation, ranking, bins)
 

@@ -165,6 +165,14 @@ def test_another_policy_plays_other_actions(folder: Path, tmp_path: Path, capsys
     assert "differ from control step 0 on" in found["actions"]["text"]
 
 
+def test_a_file_without_its_results_is_one_report(folder: Path, capsys: Any) -> None:
+    (folder / "eval.json").write_text("{}")
+    seal(folder, "eval.json")
+    assert main(["verify", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert "are damaged, or of another version" in said and len(said.splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
