@@ -329,7 +329,12 @@ def _policy_of_receipt(receipt: Receipt, policy: Path | None, *, trust: bool) ->
 
 
 def _check_study(
-    receipt: Receipt, report: ReceiptReport, *, every: bool, trust: bool, sample_seed: int | None
+    receipt: Receipt,
+    report: ReceiptReport,
+    *,
+    every: bool,
+    trust: bool,
+    sample_seed: int | None,
 ) -> None:
     """Check the evaluations of a study, all or a sample of them."""
     names = [name for name in receipt.files if Path(name).name == RECEIPT]
@@ -340,7 +345,9 @@ def _check_study(
         rng = np.random.default_rng(sample_seed)
         drawn = rng.choice(len(names), size=SAMPLED, replace=False)
         chosen = [names[i] for i in sorted(drawn.tolist())]
-        text = f"{len(chosen)} of {len(names)}, drawn with --sample-seed {sample_seed}; --all for all"
+        text = (
+            f"{len(chosen)} of {len(names)}, drawn with --sample-seed {sample_seed}; --all for all"
+        )
         report.add("evaluations", ok=None, text=text)
     for name in names:
         evaluation = read_receipt(receipt.file(name))

@@ -118,9 +118,7 @@ def _has_chosen(folder: Path, asked: dict[str, Any]) -> bool:
     raise ConfigError([Problem("arms", message)])
 
 
-def run_jobs(
-    study: Study, place: StudyFolder, hydra_lines: Sequence[str], *, quiet: bool
-) -> None:
+def run_jobs(study: Study, place: StudyFolder, hydra_lines: Sequence[str], *, quiet: bool) -> None:
     """Run what is left of the jobs of a study.
 
     Args:
