@@ -15,16 +15,43 @@ from typing import Any
 from embodichain.config.composition.composed import compose, list_options
 from embodichain.config.composition.locate import COMMAND_LINE
 from embodichain.config.composition.study_files import compose_study, tasks_of_suite
-from embodichain.config.keys.study import ArmCfg, StudyCfg
+from embodichain.config.keys.study import ArmCfg, SearchCfg, StudyCfg
 from embodichain.config.resolved import Resolved, resolve
 from embodichain.lab.sim.configs.config_types import ConfigTypes
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
-__all__ = ["EVERY_TASK_HAS", "Study", "StudyJob", "check_jobs", "read_study", "resolve_study"]
+__all__ = [
+    "EVERY_TASK_HAS",
+    "Study",
+    "StudyJob",
+    "check_jobs",
+    "read_study",
+    "resolve_study",
+    "search_lines",
+]
 
 EVERY_TASK_HAS = ("return", "length")
 """Metrics that need no declaration in a task."""
+
+
+_SET_IN_TRAININGS = {
+    "task": "Write tasks=[...].",
+    "seed": "Write seeds=[...].",
+    "policy": "An arm with a policy has `policy`, and no training.",
+    "output_dir": "Write output_dir of the study.",
+    "resume": "The same command continues a training.",
+}
+"""Key -> where a study has it."""
+_SET_IN_EVALUATIONS = {
+    **_SET_IN_TRAININGS,
+    "policy": "Write policy of the arm.",
+    "resume": "An evaluation is not continued.",
+    "episodes": "Write evaluate.episodes.",
+    "num_envs": "Write evaluate.episodes: each is the first one of an environment.",
+    "variation": "Write evaluate.variations.",
+}
+"""The same of evaluations."""
 
 
 @dataclass(frozen=True)
@@ -238,6 +265,21 @@ def read_study(text: str) -> Study:
         raise ConfigError(f"the record of the study is damaged: {error}") from error
 
 
+def search_lines(search: SearchCfg) -> list[str]:
+    """Return the keys that a search tries as overrides with sweeps: ``KEY=interval(A, B)``."""
+    return [f"{key}={value}" for key, value in _flat(search.params)]
+
+
+def _flat(params: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield key paths and values; overrides of a study nest keys that its file writes in one."""
+    for key, value in params.items():
+        key_path = f"{path}.{key}" if path else str(key)
+        if isinstance(value, Mapping):
+            yield from _flat(value, key_path)
+        else:
+            yield key_path, value
+
+
 @cache
 def _types() -> ConfigTypes:
     return ConfigTypes(StudyCfg)
@@ -259,6 +301,18 @@ def _mistakes(study: Study) -> Iterator[Problem]:
             yield Problem(f"arms.{name}", "has a policy, and keys of a training: use one of them")
         if arm.policy is not None and _is_path(arm.policy) and not Path(arm.policy).exists():
             yield Problem(f"arms.{name}.policy", f"there is no such file or folder: {arm.policy}")
+    places = {"train": cfg.train, "evaluate.overrides": cfg.evaluate.overrides}
+    for name, arm in study.arms.items():
+        train_place = f"arms.{name}" if isinstance(cfg.arms[name], list) else f"arms.{name}.train"
+        places |= {train_place: arm.train, f"arms.{name}.evaluate": arm.evaluate}
+    for place, lines in places.items():
+        keys = _SET_IN_TRAININGS
+        if place.endswith(("overrides", "evaluate")):
+            keys = _SET_IN_EVALUATIONS
+        for line in lines:
+            key = line.lstrip("+~").partition("=")[0].partition("@")[0]
+            if key in keys:
+                yield Problem(place, f"{line}: the study sets {key}", keys[key])
     options = list_options("variation")
     for name, strengths in cfg.evaluate.variations.items():
         for variation in strengths:

@@ -28,7 +28,12 @@ RECEIPT = "receipt.json"
 FORMAT = 1
 """Version of the form of receipts."""
 _SEAL = "seal"
-_KINDS = ("eval", "collect", "study")
+_KEYS = {
+    "eval": ("results", "policy", "seed", "deterministic", "num_envs", "episodes"),
+    "collect": ("results",),
+    "study": ("results",),
+}
+"""Kind -> what a receipt of it says, beside what all say."""
 
 
 @dataclass(frozen=True)
@@ -132,9 +137,12 @@ def read_receipt(path: Path) -> Receipt:
     if content["format"] != FORMAT:
         message = f"{path} is a receipt of format {content['format']!r}, this is for {FORMAT}"
         raise ConfigError(f"{message}: use the version that wrote it")
-    missing = [key for key in ("kind", "files", "logs", "versions") if key not in content]
-    if missing or content["kind"] not in _KINDS:
-        raise ConfigError(f"{path} is damaged: {', '.join(missing) or 'its kind'} is missing")
+    kind = content.get("kind")
+    if not isinstance(kind, str) or kind not in _KEYS:
+        raise ConfigError(f"{path} is damaged: its kind is {kind!r}, not {', '.join(_KEYS)}")
+    missing = [key for key in ("files", "logs", "versions", *_KEYS[kind]) if key not in content]
+    if missing:
+        raise ConfigError(f"{path} is damaged: {', '.join(missing)} missing")
     return Receipt(path, content, content.get(_SEAL) == _seal_of(content))
 
 

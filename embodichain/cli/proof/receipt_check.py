@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+import math
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,19 +15,27 @@ import numpy as np
 from embodichain.cli.jobs.code_digest import code_digest, file_digest
 from embodichain.cli.jobs.job import policy_of
 from embodichain.cli.jobs.receipt import RECEIPT, Receipt, read_receipt
+from embodichain.cli.pages.run_record import named_damage
+from embodichain.cli.studies.episode_table import wrong_tables
+from embodichain.cli.studies.results import fits_models, read_results
+from embodichain.cli.studies.study_job import StudyFolder
 from embodichain.config.run_folder import versions
 from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver, StepRecord
 from embodichain.utils.errors import ConfigError, EmbodichainError
 
 if TYPE_CHECKING:
+    from embodichain.learning.evaluation.statistics import Estimate, Rate
     from embodichain.recording.read.api import Log
+    from embodichain.recording.read.episodes import LogEpisode
 
 __all__ = ["Finding", "ReceiptReport", "check_receipt"]
 
 SAMPLED = 3
 """Evaluations of a study that are simulated and played again unless all are."""
-_SAME_RETURN = 1e-6
-"""Relative difference of mean returns: a log has each episode's sum in another precision."""
+_SAME_NUMBER = 1e-9
+"""Relative difference of numbers that are the same: sums may be rounded in another order."""
+_SAME_SUM = 1e-6
+"""That of returns: a log has each episode's sum in another precision."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +83,7 @@ def check_receipt(
     policy: Path | None = None,
     every: bool = False,
     trust: bool = False,
-    sample_seed: int = 0,
+    sample_seed: int | None = None,
 ) -> ReceiptReport:
     """Check a receipt.
 
@@ -84,7 +94,7 @@ def check_receipt(
         policy: The policy's file, where it is not where the receipt says.
         every: Whether all evaluations of a study are simulated, and not a sample.
         trust: Whether code of the policy's file may run, if it cannot be read without.
-        sample_seed: Chooses the sample.
+        sample_seed: Chooses the sample; None draws a seed, which the report says.
 
     Raises:
         ConfigError: There is no receipt, or it is damaged or of another version.
@@ -101,7 +111,8 @@ def check_receipt(
     if receipt.kind == "study":
         _check_study(receipt, report, every=every, trust=trust, sample_seed=sample_seed)
         return report
-    _check_numbers(receipt, report)
+    with named_damage(receipt.path.parent):
+        _check_numbers(receipt, report)
     for log in receipt.logs:
         _simulate(log, report)
     if not receipt.logs:
@@ -147,41 +158,66 @@ def _check_numbers(receipt: Receipt, report: ReceiptReport) -> None:
     """Compare the results in the receipt with those that follow from its files."""
     from embodichain.recording.shards import joining
 
-    stated: Mapping[str, Any] = receipt.content["results"]
-    if receipt.kind == "eval":
-        file = json.loads(receipt.file("eval.json").read_text(encoding="utf-8"))
-        differing = [name for name, value in stated.items() if file.get(name) != value]
-        if differing:
-            text = f"{', '.join(differing)} differ from those in eval.json"
-            report.add("results", ok=False, text=text)
-            return
-    if not receipt.logs:
-        report.add("results", ok=True, text="those of eval.json; there is no log to count in")
-        return
-    episodes = []
+    episodes: list[LogEpisode] = []
     for path in receipt.logs:
         with joining.open(path) as log:
             episodes += [episode for episode in log.episodes if episode.counted]
-    successes = sum(episode.success is True for episode in episodes)
-    problems: list[str] = []
     if receipt.kind == "collect":
-        if successes != stated["successes"]:
-            problems.append(f"{successes} successes in the logs, {stated['successes']} stated")
+        problems = list(_wrong_counts(receipt, episodes))
     else:
-        if len(episodes) != receipt.content["episodes"]:
-            problems.append(f"{len(episodes)} episodes in the log")
-        success = stated.get("success")
-        if success is not None and successes != success["count"]:
-            problems.append(f"{successes} successes in the log, {success['count']} stated")
-        mean = float(np.mean([episode.total_reward for episode in episodes]))
-        stated_mean = float(stated["returns"]["mean"])
-        if abs(mean - stated_mean) > _SAME_RETURN * max(1.0, abs(stated_mean)):
-            problems.append(f"mean return {mean:.8g} in the log, {stated_mean:.8g} stated")
+        problems = list(_wrong_results(receipt, episodes))
+    successes = sum(episode.success is True for episode in episodes)
     if problems:
         report.add("results", ok=False, text="; ".join(problems))
-    else:
+    elif receipt.logs:
         text = f"{successes} successes of {len(episodes)} episodes, counted in the log"
         report.add("results", ok=True, text=text)
+    else:
+        report.add("results", ok=True, text="those of eval.json; there is no log to count in")
+
+
+def _wrong_counts(receipt: Receipt, episodes: Sequence[LogEpisode]) -> Iterator[str]:
+    """Yield how the number of a collection's successes is not that of its logs."""
+    successes = sum(episode.success is True for episode in episodes)
+    stated = receipt.content["results"]["successes"]
+    if receipt.logs and successes != stated:
+        yield f"{successes} successes in the logs, {stated} stated"
+
+
+def _wrong_results(receipt: Receipt, episodes: Sequence[LogEpisode]) -> Iterator[str]:
+    """Yield what of an evaluation's results does not follow from its episodes, or from its log."""
+    from embodichain.learning.evaluation.statistics import estimate, rate
+
+    stated: Mapping[str, Any] = receipt.content["results"]
+    content = json.loads(receipt.file("eval.json").read_text(encoding="utf-8"))
+    played = content["per_episode"]
+    for name, value in stated.items():
+        if content.get(name) != value:
+            yield f"{name} differ from those in eval.json"
+    computed: dict[str, Estimate | Rate | None] = {
+        "returns": estimate(np.array(played["return"], np.float64)),
+        "length": estimate(np.array(played["length"], np.float64)),
+    }
+    if "success" in played:
+        computed["success"] = rate(np.array(played["success"], np.bool_))
+    for name, value in computed.items():
+        if not is_same(stated.get(name), None if value is None else asdict(value)):
+            yield f"{name} do not follow from the {len(played['env'])} episodes in eval.json"
+    if receipt.content["episodes"] != len(played["env"]):
+        yield f"{len(played['env'])} episodes in eval.json, {receipt.content['episodes']} stated"
+    if not receipt.logs:
+        return
+    logged = sorted(episodes, key=lambda episode: (episode.env, episode.episode))
+    columns = {
+        "env": [episode.env for episode in logged],
+        "length": [episode.steps for episode in logged],
+        "return": [episode.total_reward for episode in logged],
+    }
+    if "success" in played:
+        columns["success"] = [episode.success is True for episode in logged]
+    for name, values in columns.items():
+        if not is_same(played[name], values, _SAME_SUM):
+            yield f"{name} of the episodes in eval.json differs from that in the log"
 
 
 def _simulate(path: Path, report: ReceiptReport) -> None:
@@ -293,23 +329,33 @@ def _policy_of_receipt(receipt: Receipt, policy: Path | None, *, trust: bool) ->
 
 
 def _check_study(
-    receipt: Receipt, report: ReceiptReport, *, every: bool, trust: bool, sample_seed: int
+    receipt: Receipt,
+    report: ReceiptReport,
+    *,
+    every: bool,
+    trust: bool,
+    sample_seed: int | None,
 ) -> None:
     """Check the evaluations of a study, all or a sample of them."""
     names = [name for name in receipt.files if Path(name).name == RECEIPT]
     chosen = names
     if not every and len(names) > SAMPLED:
+        if sample_seed is None:  # nobody can know beforehand which ones are simulated
+            sample_seed = secrets.randbelow(2**31)
         rng = np.random.default_rng(sample_seed)
         drawn = rng.choice(len(names), size=SAMPLED, replace=False)
         chosen = [names[i] for i in sorted(drawn.tolist())]
-        text = f"{len(chosen)} of {len(names)}, drawn with seed {sample_seed}; --all for all"
+        text = (
+            f"{len(chosen)} of {len(names)}, drawn with --sample-seed {sample_seed}; --all for all"
+        )
         report.add("evaluations", ok=None, text=text)
     for name in names:
         evaluation = read_receipt(receipt.file(name))
         if name not in chosen:
             unsimulated = ReceiptReport(evaluation.path)
             if _check_files(evaluation, unsimulated):
-                _check_numbers(evaluation, unsimulated)
+                with named_damage(evaluation.path.parent):
+                    _check_numbers(evaluation, unsimulated)
             found = [finding for finding in unsimulated.findings if finding.ok is False]
         else:
             of_evaluation = check_receipt(evaluation.path, trust=trust)
@@ -318,26 +364,67 @@ def _check_study(
         label = str(Path(name).parent)
         for finding in found:
             report.add(f"{label}: {finding.what}", finding.ok, finding.text)
-    _check_table(receipt, report)
+    with named_damage(receipt.path.parent):
+        _check_results(receipt, report)
 
 
-def _check_table(receipt: Receipt, report: ReceiptReport) -> None:
-    """Compare the table of episodes of a study with the results of its evaluations."""
-    import csv
+def _check_results(receipt: Receipt, report: ReceiptReport) -> None:
+    """Compare the tables of a study, and its results, with those of its evaluations."""
+    place = StudyFolder(receipt.path.parent.resolve())
+    try:
+        study = place.read()
+        written = json.loads(receipt.file("results.json").read_text(encoding="utf-8"))
+        had_models = any(factors["ranking"] is not None for factors in written["factors"])
+        results = read_results(study, place, has_models=had_models and fits_models())
+    except ConfigError as error:
+        report.add("table", ok=False, text=str(error))
+        return
+    wrong = list(wrong_tables(results.episodes, place.path))
+    text = f"{len(results.episodes.rows)} rows are those of the evaluations"
+    report.add("table", ok=not wrong, text="; ".join(wrong) or text)
+    if receipt.content["versions"].get("numpy") != versions()["numpy"]:
+        text = "another version of numpy draws other samples for intervals"
+        report.add("results", ok=None, text=text)
+        return
+    wrong = []
+    computed = results.plain_dict()
+    if not is_same(receipt.content["results"], computed["arms"]):
+        wrong.append("those of the receipt do not follow from the episodes")
+    names = ["arms", "across_tasks", "pairs"]
+    texts = results.texts()
+    if had_models and not fits_models():
+        report.add("factors", ok=None, text="their joint model needs statsmodels")
+        del texts["results.md"]  # which has it
+    else:
+        names.append("factors")
+    for name in names:
+        if not is_same(written.get(name), computed[name]):
+            wrong.append(f"{name} of results.json do not follow from the episodes")
+    for name, text in texts.items():
+        if receipt.file(name).read_bytes() != text.encode():
+            wrong.append(f"{name} does not follow from the episodes")
+    report.add("results", ok=not wrong, text="; ".join(wrong) or "they follow from the episodes")
 
-    wrong = 0
-    rows = 0
-    results: dict[str, Any] = {}
-    with receipt.file("episodes.csv").open(newline="", encoding="utf-8") as stream:
-        for row in csv.DictReader(stream):
-            folder = row["folder"]
-            if folder not in results:
-                text = receipt.file(f"{folder}/eval.json").read_text(encoding="utf-8")
-                results[folder] = json.loads(text)["per_episode"]
-            index = results[folder]["env"].index(int(row["episode"]))
-            wrong += float(row["return"]) != results[folder]["return"][index]
-            rows += 1
-    text = f"{rows} rows are those of the evaluations"
-    if wrong:
-        text = f"{wrong} of {rows} rows are not those of the evaluations"
-    report.add("table", ok=not wrong, text=text)
+
+def is_same(first: Any, second: Any, tolerance: float = _SAME_NUMBER) -> bool:
+    """Whether plain values are the same; a number that is not finite is None, as in JSON.
+
+    Args:
+        first: Maps, lists, numbers, texts.
+        second: The others.
+        tolerance: Largest difference of numbers, relative to them and to 1.
+    """
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        names = first.keys()
+        return names == second.keys() and all(
+            is_same(first[name], second[name], tolerance) for name in names
+        )
+    if isinstance(first, list | tuple) and isinstance(second, list | tuple):
+        return len(first) == len(second) and all(
+            is_same(one, other, tolerance) for one, other in zip(first, second, strict=True)
+        )
+    if isinstance(first, float) and isinstance(second, float):
+        return math.isclose(first, second, rel_tol=tolerance, abs_tol=tolerance)
+    if isinstance(second, float) and not math.isfinite(second):
+        return first is None
+    return bool(first == second)

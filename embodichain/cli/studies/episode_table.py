@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,13 @@ from numpy.typing import NDArray
 
 from embodichain.cli.studies.study_job import StudyFolder
 from embodichain.config.study import Study, StudyJob
-from embodichain.utils.system.atomic import atomic_file
+from embodichain.utils.system.atomic import atomic_file, write_text
 
-__all__ = ["EpisodeTable", "read_episodes", "write_table"]
+__all__ = ["EpisodeTable", "read_episodes", "write_table", "wrong_tables"]
 
 _KEYS = ("arm", "task", "seed", "variation", "episode")
+_CSV = "episodes.csv"
+_PARQUET = "episodes.parquet"
 DRAWN = "drawn."
 """What the names of columns of drawn values begin with."""
 
@@ -112,6 +115,24 @@ def _rows(
         yield row
 
 
+def wrong_tables(table: EpisodeTable, folder: Path) -> Iterator[str]:
+    """Yield what is wrong with the files of `write_table`: those that are not of these episodes.
+
+    Args:
+        table: The episodes.
+        folder: The folder of the files.
+    """
+    path = folder / _CSV
+    if path.read_bytes() != _csv_text(table).encode():
+        yield f"{path.name} is not that of the evaluations"
+    path = folder / _PARQUET
+    if path.is_file() and importlib.util.find_spec("pyarrow") is not None:
+        from pyarrow import parquet
+
+        if parquet.read_table(path).to_pydict() != _columns_of(table):
+            yield f"{path.name} is not that of the evaluations"
+
+
 def write_table(table: EpisodeTable, folder: Path) -> list[Path]:
     """Write ``episodes.csv``, and ``episodes.parquet`` where pyarrow is installed.
 
@@ -122,28 +143,31 @@ def write_table(table: EpisodeTable, folder: Path) -> list[Path]:
     Returns:
         The files.
     """
-    path = folder / "episodes.csv"
-    with (
-        atomic_file(path) as partial,
-        partial.open("w", newline="", encoding="utf-8") as stream,
-    ):
-        writer = csv.DictWriter(stream, table.columns)
-        writer.writeheader()
-        writer.writerows(table.rows)
+    path = folder / _CSV
+    write_text(path, _csv_text(table))
     files = [path]
     if importlib.util.find_spec("pyarrow") is not None:
-        files.append(_write_parquet(table, folder / "episodes.parquet"))
+        files.append(_write_parquet(table, folder / _PARQUET))
     return files
+
+
+def _csv_text(table: EpisodeTable) -> str:
+    stream = io.StringIO(newline="")
+    writer = csv.DictWriter(stream, table.columns)
+    writer.writeheader()
+    writer.writerows(table.rows)
+    return stream.getvalue()
+
+
+def _columns_of(table: EpisodeTable) -> dict[str, list[Any]]:
+    """Name -> values of each column; None where a row has none."""
+    return {name: [row.get(name) for row in table.rows] for name in table.columns}
 
 
 def _write_parquet(table: EpisodeTable, path: Path) -> Path:
     import pyarrow
     from pyarrow import parquet
 
-    def values_of(name: str) -> Sequence[Any]:
-        return [row.get(name) for row in table.rows]
-
-    columns = {name: values_of(name) for name in table.columns}
     with atomic_file(path) as partial:
-        parquet.write_table(pyarrow.table(columns), partial)
+        parquet.write_table(pyarrow.table(_columns_of(table)), partial)
     return path

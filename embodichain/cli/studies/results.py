@@ -6,6 +6,7 @@ Everything is computed from the table of episodes, so that a table can be made a
 from __future__ import annotations
 
 import csv
+import importlib.util
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,8 +49,16 @@ from embodichain.utils.errors import ConfigError
 from embodichain.utils.number_text import result_number
 from embodichain.utils.system.atomic import write_text
 
-__all__ = ["RATES", "Factors", "StudyResults", "read_results", "write_results"]
+__all__ = [
+    "RATES",
+    "Factors",
+    "StudyResults",
+    "fits_models",
+    "read_results",
+    "write_results",
+]
 
+_WITHOUT_MODELS = "the joint model of factors needs statsmodels: embodichain[study]"
 RATES = ("success",)
 """Metrics that are shares of episodes."""
 
@@ -172,6 +181,15 @@ class StudyResults:
             "files": [str(path) for path in self.files],
         }
 
+    def plain_dict(self) -> dict[str, Any]:
+        """Return `as_dict` as JSON has it: lists for tuples, numbers of Python."""
+        plain: dict[str, Any] = json.loads(json.dumps(self.as_dict(), default=_plain))
+        return plain
+
+    def texts(self) -> dict[str, str]:
+        """Return file name -> text of the summaries."""
+        return {"summary.csv": _summary_csv(self), "results.md": _markdown(self)}
+
     def tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
         """Yield a title and rows of text for each table."""
         yield self._arm_table()
@@ -210,6 +228,11 @@ class StudyResults:
         return f"{self.study.name}: mean over seeds [95 % interval]", list(rows.values())
 
 
+def fits_models() -> bool:
+    """Whether the extra ``study`` is installed, which fits joint models of factors."""
+    return importlib.util.find_spec("statsmodels") is not None
+
+
 def write_results(study: Study, place: StudyFolder) -> StudyResults:
     """Compute the results of what is done, and write them into the study's folder.
 
@@ -227,9 +250,10 @@ def write_results(study: Study, place: StudyFolder) -> StudyResults:
     folder = place.path
     try:
         files = write_table(results.episodes, folder)
-        write_text(folder / "summary.csv", _summary_csv(results))
-        write_text(folder / "results.md", _markdown(results))
-        files += [folder / "summary.csv", folder / "results.md", folder / "results.json"]
+        for name, text in results.texts().items():
+            write_text(folder / name, text)
+            files.append(folder / name)
+        files.append(folder / "results.json")
         results = replace(results, files=tuple(files))
         text = json.dumps(results.as_dict(), indent=2, allow_nan=False, default=_plain)
         write_text(folder / "results.json", text + "\n")
@@ -248,28 +272,37 @@ def _write_receipt(study: Study, place: StudyFolder, results: StudyResults) -> N
             path = place.evaluation(job, variation) / RECEIPT
             if path.is_file():
                 receipts.append(path)
-    arms = [asdict(result) for result in results.arms]
     facts = {
         "study": study.name,
         "seeds": list(study.cfg.seeds),
-        "results": json.loads(json.dumps(arms, default=_plain)),
+        "results": results.plain_dict()["arms"],
     }
     files = [folder / STUDY, *results.files, *receipts]
     write_receipt(folder, "study", facts, files=files)
 
 
-def read_results(study: Study, place: StudyFolder) -> StudyResults:
+def read_results(
+    study: Study, place: StudyFolder, *, has_models: bool | None = None
+) -> StudyResults:
     """Compute the results of what is done.
+
+    Args:
+        study: The study.
+        place: Its folder.
+        has_models: Whether to fit the joint models of factors, else a note says that there are
+            none; None is whether `fits_models`.
 
     Raises:
         ConfigError: No evaluation is done, or a file is damaged.
     """
+    if has_models is None:
+        has_models = fits_models()
     episodes = read_episodes(study, place)
     if not episodes.rows:
         raise ConfigError(f"no evaluation of the study {study.name} is done: {place.path}")
     notes = [f"not done: {job.name}" for job in study.jobs() if not place.is_finished(job)]
     pairs = tuple(_pairs(study, place, episodes)) if len(study.arms) > 1 else ()
-    factors = tuple(_factors(study, episodes, notes))
+    factors = tuple(_factors(study, episodes, notes, has_models=has_models))
     arms = tuple(_arm_results(study, episodes))
     notes += dict.fromkeys(result.over_seeds.note for result in arms if result.over_seeds.note)
     notes += dict.fromkeys(pair.note for pair in pairs if pair.note)
@@ -377,7 +410,9 @@ def _paired_values(
     return first, second
 
 
-def _factors(study: Study, episodes: EpisodeTable, notes: list[str]) -> Iterator[Factors]:
+def _factors(
+    study: Study, episodes: EpisodeTable, notes: list[str], *, has_models: bool
+) -> Iterator[Factors]:
     """Yield an analysis for each arm, task and variation in which something was drawn."""
     for task in study.tasks:
         for variation in study.variations:
@@ -388,11 +423,10 @@ def _factors(study: Study, episodes: EpisodeTable, notes: list[str]) -> Iterator
                 if not drawn or np.isnan(success).any():
                     continue
                 ranking: FactorRanking | None = None
-                try:
+                if has_models:
                     ranking = rank_factors(drawn, success > 0)
-                except ConfigError as error:  # the extra is not installed
-                    if str(error) not in notes:
-                        notes.append(str(error))
+                elif _WITHOUT_MODELS not in notes:
+                    notes.append(_WITHOUT_MODELS)
                 bins = {name: success_by_factor(v, success > 0) for name, v in drawn.items()}
                 yield Factors(arm, task, variation, ranking, bins)
 

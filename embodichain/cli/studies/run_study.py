@@ -17,7 +17,7 @@ from embodichain.cli.sweeps.sweep_plan import Plan, plan_sweep
 from embodichain.cli.sweeps.sweep_progress import JobRow
 from embodichain.cli.sweeps.sweeping import launch_jobs
 from embodichain.cli.verb import JobOptions, command_line
-from embodichain.config.study import Study, StudyJob
+from embodichain.config.study import Study, StudyJob, search_lines
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def run_searches(study: Study, place: StudyFolder, hydra_lines: Sequence[str]) -
         folder = place.search(job)
         words = [
             *(f"task={job.task}", *study.cfg.train, *job.arm_cfg.train, f"seed={seed}"),
-            *(f"{key}={value}" for key, value in search.params.items()),
+            *search_lines(search),
             *("hydra/sweeper=optuna", f"hydra.sweeper.n_trials={search.trials}"),
             *("hydra.sweeper.sampler.seed=1", f"hydra.sweep.dir='{folder}'"),
             *hydra_lines,
@@ -118,9 +118,7 @@ def _has_chosen(folder: Path, asked: dict[str, Any]) -> bool:
     raise ConfigError([Problem("arms", message)])
 
 
-def run_jobs(
-    study: Study, place: StudyFolder, hydra_lines: Sequence[str], *, quiet: bool
-) -> None:
+def run_jobs(study: Study, place: StudyFolder, hydra_lines: Sequence[str], *, quiet: bool) -> None:
     """Run what is left of the jobs of a study.
 
     Args:

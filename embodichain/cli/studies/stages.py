@@ -69,9 +69,7 @@ class Stage:
             return False
         say(reason)
         # An evaluation is not continued, only a training.
-        is_outdated = bool(record) and (
-            record.get("inputs") != made_from or self.verb != "train"
-        )
+        is_outdated = bool(record) and (record.get("inputs") != made_from or self.verb != "train")
         with enter(
             self.folder, self.resolved, self.verb, is_outdated=lambda: is_outdated
         ) as entered:
@@ -144,7 +142,7 @@ def read_stage(folder: Path) -> dict[str, Any]:
     path = folder / RECORD
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return {}
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error

@@ -57,19 +57,42 @@ def test_an_untouched_receipt_is_verified(folder: Path, capsys: Any) -> None:
 
 
 def change_number(folder: Path) -> None:
-    """Claim another mean return, and seal the receipt anew: the log says otherwise."""
-    from embodichain.cli.jobs.receipt import _seal_of  # as somebody who cheats would do
-
+    """Claim another mean return, and seal the receipt anew: the episodes say otherwise."""
     for name in ("eval.json", "receipt.json"):
         path = folder / name
         content = json.loads(path.read_text())
         results = content.get("results", content)
         results["returns"]["mean"] += 1
         path.write_text(json.dumps(content))
+    seal(folder, "eval.json")
+
+
+def swap_episodes(folder: Path) -> None:
+    """Give two episodes each other's results: their means stay."""
+    path = folder / "eval.json"
+    content = json.loads(path.read_text())
+    content["per_episode"]["return"].reverse()
+    path.write_text(json.dumps(content))
+    seal(folder, "eval.json")
+
+
+def widen_interval(folder: Path) -> None:
+    for name in ("eval.json", "receipt.json"):
+        path = folder / name
+        content = json.loads(path.read_text())
+        content.get("results", content)["length"]["mean_interval"][0] -= 1
+        path.write_text(json.dumps(content))
+    seal(folder, "eval.json")
+
+
+def seal(folder: Path, *names: str) -> None:
+    """Make the receipt of a folder fit its files again, as somebody who cheats would do."""
     from embodichain.cli.jobs.code_digest import file_digest
+    from embodichain.cli.jobs.receipt import _seal_of
 
     content = json.loads((folder / "receipt.json").read_text())
-    content["files"]["eval.json"] = file_digest(folder / "eval.json")
+    for name in names:
+        content["files"][name] = file_digest(folder / name)
     content["seal"] = _seal_of(content)
     (folder / "receipt.json").write_text(json.dumps(content))
 
@@ -98,7 +121,9 @@ def remove_config(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("tamper", "what", "text"),
     [
-        (change_number, "results", "mean return"),
+        (change_number, "results", "returns do not follow from the 6 episodes"),
+        (swap_episodes, "results", "return of the episodes in eval.json differs from that in the"),
+        (widen_interval, "results", "length do not follow"),
         (change_receipt, "receipt", "it was changed"),
         (change_log, "files", "rollout.mcap was changed"),
         (change_checkpoint, "actions", "is not the policy of the receipt"),
@@ -138,6 +163,14 @@ def test_another_policy_plays_other_actions(folder: Path, tmp_path: Path, capsys
     found = {finding["what"]: finding for finding in report["findings"]}
     assert code == 1 and found["physics"]["ok"] and found["actions"]["ok"] is False
     assert "differ from control step 0 on" in found["actions"]["text"]
+
+
+def test_a_file_without_its_results_is_one_report(folder: Path, capsys: Any) -> None:
+    (folder / "eval.json").write_text("{}")
+    seal(folder, "eval.json")
+    assert main(["verify", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert "are damaged, or of another version" in said and len(said.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -214,6 +247,24 @@ def test_a_study_has_a_receipt_of_receipts(
     code, report = verify(folder, capsys, "--all")
     assert code == 0
     assert sum(f["what"].endswith("actions") for f in report["findings"]) == 6
+    # What is written about the episodes follows from them, whoever has sealed it.
+    for name, old, new in (
+        ("summary.csv", b"cart_pole", b"cart_pale"),
+        ("results.json", b'"episodes": 9', b'"episodes": 8'),
+        ("results.md", b"| cart_pole", b"| cart_pale"),
+        ("episodes.csv", b",clean,0,", b",clean,1,"),
+        ("receipt.json", b'"episodes": 9', b'"episodes": 8'),
+    ):
+        data = {path: (folder / path).read_bytes() for path in (name, "receipt.json")}
+        assert old in data[name]
+        (folder / name).write_bytes(data[name].replace(old, new, 1))
+        seal(folder, *([] if name == "receipt.json" else [name]))
+        code, report = verify(folder, capsys, "--sample-seed", "1")
+        wrong = [finding for finding in report["findings"] if finding["ok"] is False]
+        assert code == 1 and len(wrong) == 1, name
+        assert wrong[0]["what"] == ("table" if name == "episodes.csv" else "results")
+        for path, content in data.items():
+            (folder / path).write_bytes(content)
     # Any evaluation that was changed is found, in the sample or not.
     for log in folder.glob("jobs/*/eval-clean/rollout.mcap"):
         data = log.read_bytes()

@@ -225,6 +225,9 @@ def test_a_study_that_is_killed_five_times_ends_with_the_same_table(
         (("compare.metrics=[sucess]",), ["has no metric 'sucess'", "Did you mean 'success'?"]),
         (("evaluate.variations.dim.lihgting=1",), ["Did you mean 'lighting'?"]),
         (("evaluate.episodes=0", "seeds=[]"), ["evaluate.episodes: must be", "seeds: "]),
+        (("arms.zero=null", "arms.random=null"), ["arms: expected at least 1 value, got 0"]),
+        (("evaluate.overrides=[seed=1,num_envs=2]",), ["the study sets seed", "evaluate.episodes"]),
+        (("~arms.zero", "arms.random=null", "+arms.a=[task=reach]"), ["arms.a: task=reach: the"]),
         (("evaluate.overrides=[task.nothing=1]",), ["arm zero, task cart_pole", "task.nothing"]),
     ],
 )
@@ -276,7 +279,12 @@ def test_a_search_is_frozen_before_the_evaluations(write_study, capsys) -> None:
     search = ["study", "search", UNRECORDED, ONE_BY_ONE, "--quiet", few]
     assert main(["study", "search", "--dry-run", "--json"]) == 0
     (job,) = json.loads(capsys.readouterr().out)["jobs"]
-    assert job["left"] == "search, train, eval-clean"
+    assert job["left"] == "search, train, eval-clean" and job["about"].endswith(" s")
+    params = "arms.ppo.optimize.params"
+    assert main(["study", "search", f"+{params}.algo.gama='choice(1,2)'", DRY]) == 2
+    assert "Did you mean 'gamma'?" in capsys.readouterr().err
+    assert main(["study", "search", f"+{params}.algo.gamma=1", DRY]) == 2
+    assert "algo.gamma=1 has one value: write interval(" in capsys.readouterr().err
     assert main(search) == 0
     (chosen,) = (folder / "search" / "ppo-cart_pole" / "chosen.yaml").read_text().splitlines()
     assert chosen.startswith("- algo.learning_rate=")

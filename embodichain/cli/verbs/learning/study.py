@@ -51,9 +51,9 @@ class StudyOptions:
 def command(options: StudyOptions) -> int | None:
     """Run what is left of a study, and write its results."""
     from embodichain.cli.studies.dry_run import job_table
-    from embodichain.cli.studies.policy_check import check_policies
     from embodichain.cli.studies.results import write_results
     from embodichain.cli.studies.run_study import folder_of, run_jobs, run_searches
+    from embodichain.cli.studies.start_checks import check_policies, check_searches
     from embodichain.cli.studies.study_page import write_page
     from embodichain.cli.sweeps.sweep_run import SweepError
     from embodichain.config.study import check_jobs, resolve_study
@@ -63,6 +63,7 @@ def command(options: StudyOptions) -> int | None:
     lines = [word for word in options.words if not _is_hydras(word)]
     study = resolve_study(options.name, lines)
     check_jobs(study)
+    check_searches(study)
     place = folder_of(study)
     check_policies(study, place)
     if options.dry_run:

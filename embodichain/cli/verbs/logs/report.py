@@ -91,7 +91,7 @@ def command(options: ReportOptions) -> None:
 
 
 def _kind_of_page(folder: Path) -> str:
-    """What the page of a folder is of: a ``run``, a ``study``, a ``sweep``, or an ``index`` of runs.
+    """What the page of a folder is of: a ``run``, ``study``, ``sweep``, or an ``index`` of runs.
 
     A sweep without a finished training has nothing to compare: its page is the index of its jobs.
     """

@@ -24,7 +24,7 @@ class VerifyOptions:
         policy: The policy's file, where it is not where the receipt says.
         every: Simulate all evaluations of a study.
         trust: Run code of the policy's file, if it cannot be read without.
-        sample_seed: Chooses the sample of a study.
+        sample_seed: Chooses the sample of a study; None draws a seed.
         quiet: Print nothing.
         json: Print the result as one JSON object.
     """
@@ -33,7 +33,7 @@ class VerifyOptions:
     policy: str | None
     every: bool
     trust: bool
-    sample_seed: int
+    sample_seed: int | None
     quiet: bool
     json: bool
 
@@ -51,7 +51,7 @@ class VerifyOptions:
 @click.option("--policy", metavar="FILE", help="The policy's file.")
 @click.option("--all", "every", is_flag=True, help="Simulate all evaluations of a study.")
 @click.option("--trust", is_flag=True, help="Run code of the policy's file, if it needs that.")
-@click.option("--sample-seed", type=int, default=0, metavar="S", help="Draws the sample.")
+@click.option("--sample-seed", type=click.IntRange(0), metavar="S", help="Draws a sample again.")
 def command(options: VerifyOptions) -> int:
     """Check that files, numbers, physics and actions are those of a receipt."""
     from embodichain.cli.proof.receipt_check import check_receipt

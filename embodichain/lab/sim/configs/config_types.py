@@ -457,9 +457,9 @@ def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
 
 
 def _expected_length(schema: Mapping[str, Any]) -> str:
-    """The length of a list, from its schema: ``at least 2 values``."""
-    low = schema.get("minItems")
-    high = schema.get("maxItems")
+    """The length of a list or a map, from its schema: ``at least 2 values``."""
+    low = schema.get("minItems", schema.get("minProperties"))
+    high = schema.get("maxItems", schema.get("maxProperties"))
     values = "value" if 1 in (low, high) else "values"
     if low is None:
         return f"at most {high} {values}"

@@ -1,4 +1,4 @@
-"""Checks before a study begins that its policies without training act in its tasks."""
+"""Checks before a study begins: its searches, and that its policies act in its tasks."""
 
 from __future__ import annotations
 
@@ -7,11 +7,42 @@ from dataclasses import replace
 from embodichain.cli.jobs.job import policy_of
 from embodichain.cli.studies.study_job import StudyFolder, evaluation_stage
 from embodichain.cli.sweeps.sweep_plan import needs_machine
+from embodichain.cli.sweeps.sweeping import points
 from embodichain.config.resolved import Resolved
-from embodichain.config.study import Study
+from embodichain.config.study import Study, search_lines
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["check_policies"]
+__all__ = ["check_policies", "check_searches"]
+
+
+def check_searches(study: Study) -> None:
+    """Check the searches of arms with the first value of each of their keys.
+
+    Args:
+        study: The study.
+
+    Raises:
+        ConfigError: Lists every mistake.
+    """
+    problems: dict[str, Problem] = {}
+    for job in study.jobs():
+        search = job.arm_cfg.optimize
+        if search is None or job.seed != study.cfg.seeds[0]:
+            continue
+        path = f"arms.{job.arm}.optimize.params"
+        lines = search_lines(search)
+        try:
+            (first,) = points(lines, 1)
+            for line in set(first) & set(lines):
+                message = f"{line} has one value: write interval(LOW, HIGH) or choice(A, B)"
+                problems[line] = Problem(path, message)
+            job.training(first)
+        except ConfigError as error:
+            for problem in error.problems:
+                located = replace(problem, source=f"arm {job.arm}, task {job.task}; {path}")
+                problems.setdefault(f"{job.arm} {problem.path} {problem.message}", located)
+    if problems:
+        raise ConfigError(list(problems.values()))
 
 
 def check_policies(study: Study, place: StudyFolder) -> None:
