@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from os.path import commonprefix
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
@@ -66,7 +65,7 @@ class ConfigFile:
 
     path: Path
     package: str
-    keys: Mapping[str, KeyPlace]
+    keys: dict[str, KeyPlace]
     misread: tuple[Misread, ...] = ()
 
     @classmethod
@@ -85,21 +84,22 @@ class ConfigFile:
     @classmethod
     def _read(cls, path: Path, package: str) -> ConfigFile:
         with path.open(encoding="utf-8") as stream:  # error marks have a stream's name
-            text = stream.read()
-            if "!" in text:
+            if "!" in stream.read():
                 stream.seek(0)
                 _refuse_tags(stream)
-            try:
-                keys, mistakes = _keys_of_text(text, package)
-            except yaml.YAMLError:
-                stream.seek(0)
-                return cls.of(path, package, compose_nodes(stream))
-            return cls(path.resolve(), package, keys, mistakes)
+            stream.seek(0)
+            return cls.of(path, package, compose_nodes(stream))
 
     @classmethod
     def of(cls, path: Path, package: str, root: yaml.Node | None) -> ConfigFile:
         """Take a file's keys from its nodes; None is an empty file."""
-        return cls(path.resolve(), package, _keys_of(root, package), tuple(misread(root, package)))
+        keys: dict[str, KeyPlace] = {}
+        if root is not None:
+            names = package.split(".") if package else []
+            for depth in range(bool(names), len(names) + 1):
+                keys[".".join(names[:depth])] = KeyPlace(root.start_mark.line + 1, "map")
+            keys.update(_keys_below(root, f"{package}." if package else ""))
+        return cls(path.resolve(), package, keys, tuple(misread(root, package)))
 
     def problems(self) -> list[Problem]:
         """Return a problem for each key and number that YAML 1.1 does not read as written."""
@@ -123,24 +123,6 @@ class ConfigFile:
             if not is_leaf or depth == len(parts):
                 return depth, place.line
         return 0, 0
-
-
-@lru_cache(maxsize=1024)
-def _keys_of_text(text: str, package: str) -> tuple[dict[str, KeyPlace], tuple[Misread, ...]]:
-    """A text's keys, and those that are misread: files are read again with each composition."""
-    root = compose_nodes(text)
-    return _keys_of(root, package), tuple(misread(root, package))
-
-
-def _keys_of(root: yaml.Node | None, package: str) -> dict[str, KeyPlace]:
-    """The keys of a file, those at which its content is placed included."""
-    keys: dict[str, KeyPlace] = {}
-    if root is not None:
-        names = package.split(".") if package else []
-        for depth in range(bool(names), len(names) + 1):
-            keys[".".join(names[:depth])] = KeyPlace(root.start_mark.line + 1, "map")
-        keys.update(_keys_below(root, f"{package}." if package else ""))
-    return keys
 
 
 def _keys_below(node: yaml.Node, prefix: str) -> Iterator[tuple[str, KeyPlace]]:
