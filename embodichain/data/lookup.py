@@ -140,6 +140,9 @@ def _in_package(uri: str, package: str, rest: str, folder: Path) -> str:
         if (root / rest).exists():
             _check_link(uri, root / rest, root, package)
         tried.append((label, root / rest))
+    beside = _existing(tried)
+    if beside is not None:  # as most meshes: the places need not be looked for
+        return beside
     for place in _package_parents():
         tried.append((place.label, place.folder / package / rest))
     for root in _python_package(package):
@@ -177,11 +180,19 @@ def _folder_of(near: str | os.PathLike[str]) -> Path:
     return path if path.is_dir() else path.parent
 
 
-def _first_existing(name: str, tried: list[tuple[str, Path]]) -> str:
-    """Return the first existing path, without ``..``; else raise with all that were tried."""
+def _existing(tried: list[tuple[str, Path]]) -> str | None:
+    """Return the first existing path, without ``..``; None if there is none."""
     for _, path in tried:
         if path.exists():
             return os.path.abspath(path)
+    return None
+
+
+def _first_existing(name: str, tried: list[tuple[str, Path]]) -> str:
+    """Return the first existing path, without ``..``; else raise with all that were tried."""
+    existing = _existing(tried)
+    if existing is not None:
+        return existing
     searched = [(label, os.path.abspath(path)) for label, path in tried]
     raise DataNotFoundError(name, searched, _closest_names(name, tried), _advice(name))
 

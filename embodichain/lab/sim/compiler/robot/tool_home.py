@@ -7,6 +7,7 @@ restarts at fixed points.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -181,6 +182,9 @@ def can_reach(
 ) -> bool:
     """Whether a tool reaches a share of some places.
 
+    A process searches once for each answer: environments of one task ask the same, and a search
+    takes longer than the rest of an environment.
+
     Args:
         model: A model of the robot, alone or in a scene.
         start: (nq,) positions of all joints, from which searches begin.
@@ -193,23 +197,79 @@ def can_reach(
         high: (k,) highest.
         enough: The share, up to 1.
     """
-    data = mujoco.MjData(model)
-    arm = _Arm(model, data, kind, tool, joints, np.zeros(0, np.int64))
+    arm = _Arm(model, mujoco.MjData(model), kind, tool, joints, np.zeros(0, np.int64))
     lowest, highest = _limits(model, joints)
     if low is not None:
         lowest = np.maximum(lowest, low)
     if high is not None:
         highest = np.minimum(highest, high)
-    shares = RandomStreams(0, 1).uniform("reach", (_REACH_RESTARTS, len(joints)))[0]
-    most_missing = int((1.0 - enough) * len(places))
+    wanted = _Wanted(start, places, orientations, lowest, highest, enough)
+    key = _digest_of(arm, wanted)
+    if key not in _ANSWERS:
+        _ANSWERS[key] = _reaches(arm, wanted)
+    return _ANSWERS[key]
+
+
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """What `can_reach` is asked of an arm; see there.
+
+    Attributes:
+        start: (nq,) positions of all joints.
+        places: (n, 3) m.
+        orientations: (n, 4), wxyz; None: any.
+        lowest: (k,) lowest positions of the joints.
+        highest: (k,) highest.
+        enough: The share of the places.
+    """
+
+    start: F64
+    places: F64
+    orientations: F64 | None
+    lowest: F64
+    highest: F64
+    enough: float
+
+
+_KINEMATICS = (
+    *("body_parentid", "body_mocapid", "body_pos", "body_quat", "body_ipos", "body_mass"),
+    *("jnt_type", "jnt_bodyid", "jnt_qposadr", "jnt_dofadr", "jnt_pos", "jnt_axis", "qpos0"),
+    *("site_bodyid", "site_pos", "site_quat", "geom_bodyid", "geom_pos", "geom_quat"),
+)
+"""Arrays of a model from which the places of its frames follow."""
+_ANSWERS: dict[bytes, bool] = {}
+"""Digest of an arm and of what was wanted -> whether it reaches that."""
+
+
+def _digest_of(arm: _Arm, wanted: _Wanted) -> bytes:
+    """Return a digest of all that an answer depends on."""
+    digest = hashlib.sha256(repr((arm.kind, arm.tool, wanted.enough)).encode())
+    arrays = [wanted.start, wanted.places, wanted.lowest, wanted.highest, arm.joints]
+    if wanted.orientations is not None:
+        arrays.append(wanted.orientations)
+    arrays += [getattr(arm.model, name) for name in _KINEMATICS]
+    for array in arrays:
+        digest.update(repr((array.shape, array.dtype.str)).encode())
+        digest.update(array.tobytes())
+    return digest.digest()
+
+
+def _reaches(arm: _Arm, wanted: _Wanted) -> bool:
+    """Search for the places, each from several positions of the joints."""
+    data = arm.data
+    addresses = arm.model.jnt_qposadr[arm.joints]
+    lowest = wanted.lowest
+    highest = wanted.highest
+    shares = RandomStreams(0, 1).uniform("reach", (_REACH_RESTARTS, len(arm.joints)))[0]
+    most_missing = int((1.0 - wanted.enough) * len(wanted.places))
     missing = 0
-    for i, place in enumerate(places):
-        quat = None if orientations is None else orientations[i]
+    for i, place in enumerate(wanted.places):
+        quat = None if wanted.orientations is None else wanted.orientations[i]
         reached = False
         for share in [None, *shares]:
-            data.qpos[:] = start
+            data.qpos[:] = wanted.start
             if share is not None:
-                data.qpos[model.jnt_qposadr[joints]] = lowest + (highest - lowest) * share
+                data.qpos[addresses] = lowest + (highest - lowest) * share
             found = _search(arm, place, quat, lowest, highest)
             is_near = found.distance < _REACHED and found.turned < _REACHED_TURN
             reached = found.is_exact or is_near
