@@ -65,8 +65,11 @@ def together(lines: list[str]) -> Iterator[list[str]]:
 
 
 @pytest.fixture
-def checkout(tmp_path: Path) -> Path:
-    """A copy of what is tracked, and of what will be."""
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of what is tracked, and of what will be.
+
+    Each time at the same place, with the times of the files: Python compiles them once.
+    """
     names = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard", "-z"],
         cwd=REPO,
@@ -74,13 +77,14 @@ def checkout(tmp_path: Path) -> Path:
         text=True,
         check=True,
     ).stdout.split("\0")
-    copy = tmp_path / "checkout"
+    copy = tmp_path_factory.getbasetemp() / "checkout"
+    shutil.rmtree(copy, ignore_errors=True)
     for name in filter(None, names):
         source, target = REPO / name, copy / name
         if not source.exists():
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(source, target, follow_symlinks=False)
+        shutil.copy2(source, target, follow_symlinks=False)
     return copy
 
 

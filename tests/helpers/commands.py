@@ -161,18 +161,32 @@ class Commands:
         self._address = address
 
     def start(
-        self, *arguments: str, cwd: Path | None = None, program: str = "embodichain"
+        self,
+        *arguments: str,
+        cwd: Path | None = None,
+        env: Mapping[str, str] | None = None,
+        program: str = "embodichain",
+        safe_path: bool = False,
     ) -> Command:
-        """Start a command, with this process' environment variables.
+        """Start a command.
 
         Args:
             arguments: After ``embodichain``.
             cwd: Its working directory; None is the current one.
+            env: All of its environment variables; None is those of this process.
             program: The module that runs, as with ``python -m``.
+            safe_path: Whether modules are not looked for in the working directory, as with
+                ``python -P`` and commands that pip has installed.
         """
         out, out_end = os.pipe()
         err, err_end = os.pipe()
-        request = {"arguments": arguments, "program": program, "env": dict(os.environ)}
+        variables = dict(os.environ if env is None else env)
+        request = {
+            "arguments": arguments,
+            "program": program,
+            "env": variables,
+            "safe_path": safe_path,
+        }
         connection = self._ask(request, cwd, [out_end, err_end])
         return Command(arguments, connection, out, err, program)
 
@@ -187,7 +201,12 @@ class Commands:
             cwd: Its working directory.
             env: All of its environment variables.
         """
-        request = {"arguments": arguments, "program": "embodichain", "env": dict(env)}
+        request = {
+            "arguments": arguments,
+            "program": "embodichain",
+            "env": dict(env),
+            "safe_path": False,
+        }
         return Process(arguments, self._ask(request, cwd, [terminal]))
 
     def run(
@@ -196,9 +215,10 @@ class Commands:
         cwd: Path | None = None,
         timeout: float = 120.0,
         program: str = "embodichain",
+        safe_path: bool = False,
     ) -> subprocess.CompletedProcess[str]:
-        """Run a command to its end, as `subprocess.run` with captured output."""
-        command = self.start(*arguments, cwd=cwd, program=program)
+        """Run a command to its end, as `subprocess.run` with captured output; see `start`."""
+        command = self.start(*arguments, cwd=cwd, program=program, safe_path=safe_path)
         try:
             out, err = command.communicate(timeout)
         finally:
@@ -326,7 +346,10 @@ def _become(request: Mapping[str, object]) -> None:
         sys.settrace(None)
         threading.settrace(None)
     os.chdir(str(request["cwd"]))
-    sys.path[0] = str(request["cwd"])
+    if request["safe_path"]:
+        del sys.path[0]
+    else:
+        sys.path[0] = str(request["cwd"])
     sys.argv[1:] = list(request["arguments"])  # type: ignore[call-overload]
 
 
