@@ -1,7 +1,7 @@
 """Every command in README.md and docs/ runs, in the order of its page, as it is written there.
 
-Sweeps run in this process, but for those of the page about sweeps: workers take seconds to start.
-Runs draw their start, `scene.png`, on three pages: that takes longer than most of these runs.
+Sweeps run in this process, but for the search of the page about sweeps: workers take seconds to
+start. Runs draw their start, `scene.png`, on three pages: that takes longer than most of them.
 A block below a comment that names a file, ``<!-- conf/task/mine.yaml -->``, is that file from there
 on.
 """
@@ -64,7 +64,7 @@ def run(
     if program == "embodichain":
         if arguments[0] == "run" and any(word.startswith("viewer=") for word in arguments):
             arguments.append("viewer.wait_s=0")  # nobody opens the page
-        if arguments[0] == "run" and not draws:
+        if arguments[0] == "run" and not draws and "scene_png=false" not in arguments:
             arguments.append("scene_png=false")
         assert main(arguments) == 0, f"{command}\n{capsys.readouterr().err}"
         return
@@ -89,6 +89,6 @@ def test_commands_run(page: Path, commands: Commands, capsys: pytest.CaptureFixt
             Path(path).parent.mkdir(parents=True, exist_ok=True)
             Path(path).write_text(text, encoding="utf-8")
         else:
-            sweep = re.match("embodichain .* -m ", text) and page.name != "sweeps.md"
+            sweep = re.match("embodichain .* -m ", text) and "hydra/sweeper=optuna" not in text
             command = f"{text} hydra/launcher=basic" if sweep else text
             run(command, commands, capsys, draws=page.name in DRAWN)
