@@ -45,6 +45,7 @@ def test_doctor_says_what_is_there_and_how_to_get_the_rest(capsys, monkeypatch):
             raise metadata.PackageNotFoundError(name)
         return versions(name)
 
+    # An environment without these packages would have to be installed.
     monkeypatch.setattr(metadata, "version", without_three)
     assert main(["doctor", "--json"]) == 0
     checks = {check["part"]: check for check in json.loads(capsys.readouterr().out)["checks"]}

@@ -42,31 +42,38 @@ def commands(page: Path) -> list[str]:
 
 
 # Commands that follow one another in one process: they import torch and MuJoCo once.
-EMBODICHAIN = """
+IN_ONE_PROCESS = """
 import json, sys
+import pytest
 from embodichain.cli import main
-for words in json.loads(sys.argv[1]):
-    if main(words):
-        sys.exit(f"{words} failed")
+for program, *words in json.loads(sys.argv[1]):
+    code = main(words) if program == "embodichain" else pytest.main(words[2:])
+    if code:
+        sys.exit(f"{program} {words} failed")
 """
 
 
-OURS = re.compile(r"embodichain [^<>|&;$]+")
+IMPORTING = re.compile(r"(embodichain|python -m pytest) [^<>|&;$]+")
 
 
 def together(lines: list[str]) -> Iterator[list[str]]:
-    """Commands for `subprocess`: neighbours of ours become one, the others are bash's."""
-    for ours, group in itertools.groupby(lines, OURS.fullmatch):
-        if ours:
-            words = [shlex.split(line, comments=True)[1:] for line in group]
-            yield ["python", "-c", EMBODICHAIN, json.dumps(words)]
+    """Commands for `subprocess`: neighbours that import torch become one, others are bash's."""
+    for is_importing, group in itertools.groupby(
+        lines, lambda line: bool(IMPORTING.fullmatch(line))
+    ):
+        if is_importing:
+            words = [shlex.split(line, comments=True) for line in group]
+            yield ["python", "-c", IN_ONE_PROCESS, json.dumps(words)]
         else:
             yield from (["bash", "-c", line] for line in group)
 
 
 @pytest.fixture
-def checkout(tmp_path: Path) -> Path:
-    """A copy of what is tracked, and of what will be."""
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of what is tracked, and of what will be.
+
+    Each time at the same place, with the times of the files: Python compiles them once.
+    """
     names = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard", "-z"],
         cwd=REPO,
@@ -74,13 +81,14 @@ def checkout(tmp_path: Path) -> Path:
         text=True,
         check=True,
     ).stdout.split("\0")
-    copy = tmp_path / "checkout"
+    copy = tmp_path_factory.getbasetemp() / "checkout"
+    shutil.rmtree(copy, ignore_errors=True)
     for name in filter(None, names):
         source, target = REPO / name, copy / name
         if not source.exists():
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(source, target, follow_symlinks=False)
+        shutil.copy2(source, target, follow_symlinks=False)
     return copy
 
 

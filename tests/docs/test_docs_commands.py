@@ -1,6 +1,7 @@
 """Every command in README.md and docs/ runs, in the order of its page, as it is written there.
 
-Sweeps run in this process, but for those of the page about sweeps: workers take seconds to start.
+Sweeps run in this process, but for the search of the page about sweeps: workers take seconds to
+start. Runs draw their start, `scene.png`, on three pages: that takes longer than most of them.
 A block below a comment that names a file, ``<!-- conf/task/mine.yaml -->``, is that file from there
 on.
 """
@@ -15,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from embodichain.cli import main
+from tests.helpers.commands import Commands
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
@@ -26,9 +28,11 @@ BLOCK = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 SHELLS = ("bash", "sh", "shell")
+DRAWN = ("README.md", "pictures.md", "reports.md")
+"""Pages whose runs draw their start: the first, and those that are about pictures."""
 
 
-def commands(text: str) -> list[str]:
+def commands_in(text: str) -> list[str]:
     """The commands of shell blocks, continued lines joined."""
     lines = (line.strip() for line in text.replace("\\\n", " ").splitlines())
     return [line for line in lines if line and not line.startswith(("#", *ELSEWHERE))]
@@ -41,7 +45,7 @@ def steps(page: Path) -> list[tuple[str, str]]:
         if block["file"]:
             found.append((block["file"], block["text"]))
         elif block["language"] in SHELLS:
-            found += [("", command) for command in commands(block["text"])]
+            found += [("", command) for command in commands_in(block["text"])]
     return found
 
 
@@ -52,17 +56,24 @@ PAGES = [
 ]
 
 
-def run(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def run(
+    command: str, commands: Commands, capsys: pytest.CaptureFixture[str], *, draws: bool
+) -> None:
     program, *arguments = shlex.split(command, comments=True)
     assert program in ("embodichain", "python"), f"this test cannot run: {command}"
     if program == "embodichain":
         if arguments[0] == "run" and any(word.startswith("viewer=") for word in arguments):
             arguments.append("viewer.wait_s=0")  # nobody opens the page
+        if arguments[0] == "run" and not draws and "scene_png=false" not in arguments:
+            arguments.append("scene_png=false")
         assert main(arguments) == 0, f"{command}\n{capsys.readouterr().err}"
         return
-    done = subprocess.run(
-        [sys.executable, *arguments], capture_output=True, text=True, timeout=250, check=False
-    )
+    if arguments[:2] == ["-m", "pytest"]:
+        done = commands.run(*arguments[2:], program="pytest", timeout=250)
+    else:
+        done = subprocess.run(
+            [sys.executable, *arguments], capture_output=True, text=True, timeout=250, check=False
+        )
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
 
 
@@ -71,12 +82,13 @@ def test_pages_have_commands() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPO)))
-def test_commands_run(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_run(page: Path, commands: Commands, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copy(GYM_CONFIG, "gym_config.yaml")
     for path, text in steps(page):
         if path:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
             Path(path).write_text(text, encoding="utf-8")
         else:
-            sweep = re.match("embodichain .* -m ", text) and page.name != "sweeps.md"
-            run(f"{text} hydra/launcher=basic" if sweep else text, capsys)
+            sweep = re.match("embodichain .* -m ", text) and "hydra/sweeper=optuna" not in text
+            command = f"{text} hydra/launcher=basic" if sweep else text
+            run(command, commands, capsys, draws=page.name in DRAWN)

@@ -12,7 +12,7 @@ import pytest
 from tests.helpers.faults import CASES, sampled, tried
 from tests.helpers.forks import Forks, verb_forks
 
-CALLS = 20
+CALLS = 12
 """Calls of a verb that fail; each is a command, and for each second one more, which repeats it."""
 FEW = 3
 """Calls of an export, in each of seven formats, and of a run with a picture."""

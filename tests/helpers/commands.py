@@ -376,8 +376,6 @@ def _run(program: str) -> NoReturn:
         is_interrupted = isinstance(error, KeyboardInterrupt)
     if "COVERAGE_PROCESS_CONFIG" in os.environ:
         sys.exit(code)  # coverage writes its file at the very end
-    if "COVERAGE_PROCESS_CONFIG" in os.environ and not is_interrupted:
-        sys.exit(code)  # coverage writes at the very end
     # What an interpreter does as it ends, in its order, but for taking apart modules: that is 0.3 s
     # of CPU time, as torch has many. These two functions have no public names.
     threading._shutdown()  # type: ignore[attr-defined]

@@ -10,6 +10,7 @@ SETTINGS = {
     "RAY_memory_monitor_refresh_ms": "0",
     "RAY_AUTH_MODE": "disabled",
     "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_raylet_start_wait_time_s": "120",  # on a machine that does other things, too
 }
 STORE = 80_000_000
 """Bytes of each node's object store; the smallest that Ray takes is 78,643,200."""

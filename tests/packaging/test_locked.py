@@ -210,6 +210,7 @@ def test_a_version_that_refuses_the_oldest_python_is_pinned_for_later_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     said = {"Requires-Python": ">=3.11.5"}
+    # No installed package refuses 3.11.0, the oldest Python.
     monkeypatch.setattr(metadata, "metadata", lambda name: said)
     assert pins.constraint("a", "2") == 'a==2; python_full_version >= "3.11.5"'
     said["Requires-Python"] = ">=3.9"

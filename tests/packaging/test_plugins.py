@@ -20,6 +20,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 FILES = re.compile(
     r"^<!-- (pyproject\.toml|my_package/\w+\.py) -->\n```\w+\n(.*?)^```", re.MULTILINE | re.DOTALL
 )
+UNDRAWN = "scene_png=false"
 BUILD = "import setuptools.build_meta, sys; print(setuptools.build_meta.build_wheel(sys.argv[1]))"
 # Each line is one command; one process, since most of a command's time goes into its imports.
 RUN = """
@@ -80,10 +81,10 @@ def test_one_file_adds_a_thing_of_each_kind(installed: Path, tmp_path: Path) -> 
         tmp_path,
         ["list", "formats"],
         ["list", "learners"],
-        ["run", "task=lift_cube", expert, "viewer=ticker", "num_envs=1", "episodes=1"],
+        ["run", "task=lift_cube", expert, "viewer=ticker", "num_envs=1", "episodes=1", UNDRAWN],
         ["export", "last", "--format", "jsonl", "--to", "3", "-o", "log.jsonl"],
         ["train", "task=reach", "task.max_episode_steps=4", "algo=reinforce", *tiny],
-        ["run", "task=reach", turning, "max_steps=2", "record=none"],
+        ["run", "task=reach", turning, "max_steps=2", "record=none", UNDRAWN],
     )
     assert done.returncode == 0, done.stdout + done.stderr
     said = " ".join(done.stdout.split())
@@ -95,7 +96,7 @@ def test_one_file_adds_a_thing_of_each_kind(installed: Path, tmp_path: Path) -> 
 
 
 def test_one_file_adds_a_launcher(installed: Path, tmp_path: Path) -> None:
-    sweep = ["-m", "task=cart_pole", "seed=1,2", "max_steps=2", "hydra.sweep.dir=sweep"]
+    sweep = ["-m", "task=cart_pole", "seed=1,2", "max_steps=2", "hydra.sweep.dir=sweep", UNDRAWN]
     done = run(
         installed,
         tmp_path,
@@ -114,7 +115,7 @@ def test_one_file_adds_a_launcher(installed: Path, tmp_path: Path) -> None:
 
 
 def test_one_file_adds_an_engine(installed: Path, tmp_path: Path) -> None:
-    job = ["task=cart_pole", "policy=zero", "num_envs=3", "seed=1", "max_steps=5"]
+    job = ["task=cart_pole", "policy=zero", "num_envs=3", "seed=1", "max_steps=5", UNDRAWN]
     done = run(
         installed,
         tmp_path,

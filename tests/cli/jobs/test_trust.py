@@ -336,6 +336,7 @@ def test_a_picture_starts_no_program(
     program.write_text(GHOSTSCRIPT)
     program.chmod(program.stat().st_mode | stat.S_IEXEC)
     monkeypatch.setenv("PATH", f"{program.parent}:{os.environ['PATH']}")
+    # Pillow looks for the program once in a process, and may have done so in an earlier test.
     monkeypatch.setattr(EpsImagePlugin, "gs_binary", None)
     Path("x.png").write_bytes(PICTURE)
     if kind == "texture":

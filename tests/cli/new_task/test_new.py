@@ -7,12 +7,14 @@ import os
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
 
 from embodichain.cli import main
+from tests.helpers.commands import Commands
 from tests.helpers.mjcf_robots import ROBOTS
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
@@ -41,26 +43,28 @@ def new(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, list[s
     return data
 
 
-# All commands in one process: they import torch and MuJoCo once.
-EMBODICHAIN = """
-import json, sys
-from embodichain.cli import main
-sys.exit(max(main(arguments) for arguments in json.loads(sys.argv[1])))
-"""
-
-
-def follow(*steps: list[str]) -> str:
+@pytest.fixture
+def follow(commands: Commands) -> Callable[..., str]:
     """Executes the `next` commands of `new`, with short runs; returns the output of pytest."""
-    commands = [command.split() for step in steps for command in step]
-    ours = [arguments for program, *arguments in commands if program == "embodichain"]
-    tests = [arguments for program, *arguments in commands if program == "python"]
-    assert len(ours) + len(tests) == len(commands)
-    short = ["max_steps=2", "record=none", "--quiet"]
-    ours = [[*words, *(short if words[0] == "run" else [])] for words in ours]
-    python("-c", EMBODICHAIN, json.dumps(ours))
-    assert [words[:-1] for words in tests] == [["-m", "pytest"]] * len(steps)
-    files = [words[-1] for words in tests]
-    return python("-m", "pytest", *files, "-q", "-p", "no:cacheprovider")
+
+    def execute(*steps: list[str]) -> str:
+        files: list[str] = []
+        for program, *words in (command.split() for step in steps for command in step):
+            if program == "python":
+                assert words[:-1] == ["-m", "pytest"]
+                files.append(words[-1])
+                continue
+            assert program == "embodichain"
+            short = ["max_steps=2", "record=none", "--quiet"] if words[0] == "run" else []
+            done = commands.run(*words, *short, safe_path=True)
+            assert done.returncode == 0, done.stdout + done.stderr
+        assert len(files) == len(steps)
+        quiet = ("-q", "-p", "no:cacheprovider")
+        done = commands.run(*files, *quiet, program="pytest", safe_path=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    return execute
 
 
 def lint(*files: str) -> None:
@@ -69,7 +73,9 @@ def lint(*files: str) -> None:
     python("-m", "ruff", "format", "--check", *settings, *files)
 
 
-def test_a_task_in_yaml_works_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_task_in_yaml_works_at_once(
+    follow: Callable[..., str], capsys: pytest.CaptureFixture[str]
+) -> None:
     made = new(capsys, "my_reach")
     assert made["wrote"] == ["conf/task/my_reach.yaml", "tests/test_my_reach.py"]
     assert made["pyproject"] == ""
@@ -77,7 +83,9 @@ def test_a_task_in_yaml_works_at_once(capsys: pytest.CaptureFixture[str]) -> Non
     lint("tests/test_my_reach.py")
 
 
-def test_a_task_in_python_works_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_task_in_python_works_at_once(
+    follow: Callable[..., str], capsys: pytest.CaptureFixture[str]
+) -> None:
     made = new(capsys, "my_push", "--python")
     assert made["wrote"] == ["conf/task/my_push.yaml", "my_push.py", "tests/test_my_push.py"]
     assert "4 passed" in follow(made["next"])
@@ -89,7 +97,7 @@ def test_a_task_in_python_works_at_once(capsys: pytest.CaptureFixture[str]) -> N
 
 @pytest.mark.parametrize("source", [".", "src"])
 def test_a_package_gets_both_inside_and_is_told_its_entry_points(
-    source: str, capsys: pytest.CaptureFixture[str]
+    source: str, follow: Callable[..., str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     project = '[project]\nname = "my-robots"\nversion = "1"\n'
     Path("pyproject.toml").write_text(project)
@@ -227,7 +235,9 @@ _NAMED = [
 ]
 
 
-def test_a_task_fits_the_robot_that_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_task_fits_the_robot_that_is_named(
+    follow: Callable[..., str], capsys: pytest.CaptureFixture[str]
+) -> None:
     for name, text in {"small": _SMALL, **ROBOTS}.items():
         Path(f"{name}.xml").write_text(text)
     made = [

@@ -6,7 +6,6 @@ An array; a preemption, a requeue and a kill in one sweep; the same sweep starte
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 
 from embodichain.cli import main
+from tests.helpers.commands import Command, Commands
 from tests.helpers.inside import places_of
 from tests.helpers.slurm_cluster import Slurm, slurm, why_not
 from tests.helpers.sweeps import TINY, check_study, learned, results, summary, write_study
@@ -38,15 +38,18 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Slurm]:
         yield found
 
 
-def sweep(cluster: Slurm, folder: Path, *more: str) -> "subprocess.Popen[str]":
-    where = [f"output_dir={folder}", f"hydra.sweep.dir={folder}/s"]
-    command = [sys.executable, "-m", "embodichain", "train", "-m", *ON_SLURM, *where, *more]
-    return subprocess.Popen(
-        command, env=cluster.env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+@pytest.fixture
+def sweep(commands: Commands, cluster: Slurm, tmp_path: Path) -> Callable[..., Command]:
+    """Starts a sweep on the cluster."""
+
+    def start(*more: str) -> Command:
+        where = [f"output_dir={tmp_path}", f"hydra.sweep.dir={tmp_path}/s"]
+        return commands.start("train", "-m", *ON_SLURM, *where, *more, env=cluster.env)
+
+    return start
 
 
-def until(done: Callable[[], object], what: str, process: "subprocess.Popen[str]") -> None:
+def until(done: Callable[[], object], what: str, process: Command) -> None:
     end = time.monotonic() + GUARD
     while not done():
         if time.monotonic() > end or process.poll() is not None:
@@ -55,7 +58,7 @@ def until(done: Callable[[], object], what: str, process: "subprocess.Popen[str]
         time.sleep(0.1)
 
 
-def ended(process: "subprocess.Popen[str]") -> tuple[int, str]:
+def ended(process: Command) -> tuple[int, str]:
     try:
         _, err = process.communicate(timeout=GUARD)
     except subprocess.TimeoutExpired:
@@ -99,9 +102,9 @@ def saved(job: Path) -> int:
 
 @pytest.mark.timeout(900)
 def test_jobs_are_queued_again_killed_and_go_on_to_the_bit(
-    cluster: Slurm, reference: Path, tmp_path: Path
+    cluster: Slurm, sweep: Callable[..., Command], reference: Path, tmp_path: Path
 ) -> None:
-    process = sweep(cluster, tmp_path, *LONG)
+    process = sweep(*LONG)
     jobs = [tmp_path / "s/0", tmp_path / "s/1"]
     until(lambda: all(map(saved, jobs)), "checkpoints", process)
     lines = cluster.call("squeue", "--noheader", "--array", "--format=%F_%K %A").splitlines()
@@ -131,7 +134,7 @@ def test_jobs_are_queued_again_killed_and_go_on_to_the_bit(
     assert f"job 1 failed, the end of {tmp_path}/s/.logs/1.log:" in said and "Killed" in said
     assert "1 of 2 jobs are done: 0; not done: 1; the same command with" in said
 
-    code, said = ended(sweep(cluster, tmp_path, *LONG))
+    code, said = ended(sweep(*LONG))
     assert code == 0, said
     assert f"finished already: {jobs[0]}" in said
     assert "submitted to Slurm (1: " in said and "(0: " not in said
@@ -140,10 +143,8 @@ def test_jobs_are_queued_again_killed_and_go_on_to_the_bit(
     assert f"{tmp_path}/s/report.html" in said
 
 
-def test_what_slurm_refuses_is_said(cluster: Slurm, tmp_path: Path) -> None:
-    code, said = ended(
-        sweep(cluster, tmp_path, *TINY, "seed=0", "hydra.launcher.partition=nowhere")
-    )
+def test_what_slurm_refuses_is_said(sweep: Callable[..., Command]) -> None:
+    code, said = ended(sweep(*TINY, "seed=0", "hydra.launcher.partition=nowhere"))
     assert code == 2, said
     assert "invalid partition specified: nowhere" in said
 
@@ -173,17 +174,18 @@ def test_nothing_of_a_cluster_survives(tmp_path: Path) -> None:
     assert left == []
 
 
-def test_a_secret_is_in_no_record_of_a_job(cluster: Slurm, tmp_path: Path) -> None:
+def test_a_secret_is_in_no_record_of_a_job(
+    cluster: Slurm, sweep: Callable[..., Command], tmp_path: Path
+) -> None:
     """Nor in the scripts and logs of Slurm's jobs, which get the variable from where they came."""
-    keys = ("task.description=for ${oc.env:MY_SECRET}", "seed=0,1", "total_timesteps=32")
+    keys = ("task.description=for ${oc.env:MY_SECRET}", "seed=0", "total_timesteps=32")
     cluster.env["MY_SECRET"] = "hunter2-PLANTED"
     try:
-        code, said = ended(sweep(cluster, tmp_path, *TINY, *keys))
+        code, said = ended(sweep(*TINY, *keys))
     finally:
         del cluster.env["MY_SECRET"]
     assert code == 0, said
     assert "PLANTED" not in said
-    for name in "01":
-        text = (tmp_path / "s" / name / "config.yaml").read_text()
-        assert "description: for ${oc.env:MY_SECRET}" in text
+    text = (tmp_path / "s/0/config.yaml").read_text()
+    assert "description: for ${oc.env:MY_SECRET}" in text
     assert places_of("PLANTED", tmp_path) == []

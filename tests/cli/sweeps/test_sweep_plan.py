@@ -18,6 +18,7 @@ def plan(*overrides: str, first: tuple[str, ...] = ()) -> Plan:
 
 @pytest.fixture(autouse=True)
 def eight_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A plan depends on the cores of the machine.
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)))
 
 

@@ -156,20 +156,19 @@ def is_running(pid: int) -> bool:
 
 
 @pytest.mark.unmeasured
-def test_workers_of_a_killed_sweep_end_with_it(tmp_path: Path) -> None:
+def test_workers_of_a_killed_sweep_end_with_it(commands: Commands, tmp_path: Path) -> None:
     """Three workers: one has no job, and waits for one in a pipe."""
     words = ("task=cart_pole", "seed=0,1", "num_envs=1", "record=none", "episodes=1000000")
     workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=3", f"hydra.sweep.dir={tmp_path}/s")
-    command = [sys.executable, "-m", "embodichain", "run", "-m", *workers, *words]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as sweep:
-        try:
-            end = time.monotonic() + 120.0
-            while len([*tmp_path.glob("s/[01]/run.log")]) < 2 and time.monotonic() < end:
-                time.sleep(0.1)
-            children = running_children(sweep.pid)
-            assert len(children) >= 3
-        finally:
-            sweep.send_signal(signal.SIGKILL)
+    sweep = commands.start("run", "-m", *workers, *words)
+    try:
+        end = time.monotonic() + 120.0
+        while len([*tmp_path.glob("s/[01]/run.log")]) < 2 and time.monotonic() < end:
+            time.sleep(0.1)
+        children = running_children(sweep.pid)
+        assert len(children) >= 3
+    finally:
+        sweep.kill()
     end = time.monotonic() + 30.0
     while any(map(is_running, children)) and time.monotonic() < end:
         time.sleep(0.05)

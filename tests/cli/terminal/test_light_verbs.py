@@ -232,6 +232,7 @@ def test_completion_script_is_for_this_command(capsys: pytest.CaptureFixture[str
 
 
 def test_process_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A program that calls `main` has words of its own, and gets them back.
     monkeypatch.setattr(sys, "argv", ["mine", "a"])
     assert main(["run", "task=reach", "--info", "searchpath"]) == 0
     assert sys.argv == ["mine", "a"]

@@ -25,6 +25,7 @@ def test_a_line_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -
 
 def test_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = Terminal()
+    # pytest captures stderr into what is not a terminal.
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("TERM", "xterm")

@@ -3,8 +3,6 @@
 import importlib.util
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -64,19 +62,17 @@ def test_what_cannot_be_shown_is_refused(words, said, capsys):
 
 @pytest.mark.unmeasured
 @needs_chromium
-def test_a_browser_starts_it_and_the_last_episode_ends_it(tmp_path):
+def test_a_browser_starts_it_and_the_last_episode_ends_it(commands, tmp_path):
     words = ["reach", "--web", "episodes=1", "task.max_episode_steps=40", "allow_changed=true"]
-    command = [sys.executable, "-m", "embodichain", "demo", *words, "--json"]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, cwd=tmp_path, **pipes) as process:
-        try:
-            lines = iter(process.stderr.readline, "")
-            url = next(found[0] for line in lines if (found := re.search(r"http://\S+", line)))
-            with chromium() as visit:
-                visit(url, 320, 240)
-                out, _ = process.communicate(timeout=120)
-        finally:
-            process.kill()
+    process = commands.start("demo", *words, "--json", cwd=tmp_path)
+    try:
+        lines = iter(process.stderr.readline, "")
+        url = next(found[0] for line in lines if (found := re.search(r"http://\S+", line)))
+        with chromium() as visit:
+            visit(url, 320, 240)
+            out, _ = process.communicate(timeout=120)
+    finally:
+        process.kill()
     assert json.loads(out) == {"task": "reach", "episodes": 1, "success": 1.0}
     assert process.returncode == 0
 

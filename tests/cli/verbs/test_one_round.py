@@ -144,6 +144,7 @@ def test_a_missing_package_does_not_come_alone(
     def lacking(suffix: str) -> None:
         raise ConfigError("video needs a package")
 
+    # The encoder is installed here.
     monkeypatch.setattr(video, "need_encoder", lacking)
     side = "+task.rewards.side={func: position, weight: 1, params: {of: {uid: goal}}}"
     said = paths_said(capsys, "task=reach", "video=true", side)

@@ -54,6 +54,7 @@ def test_a_plain_installation_makes_a_gif(tmp_path: Path, capsys, monkeypatch) -
     def without_encoder(name: str) -> ModuleSpec | None:
         return None if name == "imageio_ffmpeg" else find_spec(name)
 
+    # The encoder is installed here.
     monkeypatch.setattr(importlib.util, "find_spec", without_encoder)
     where = f"output_dir={tmp_path}"
     assert main(["run", *TINY, "max_steps=3", "video=true", "--json", where]) == 0

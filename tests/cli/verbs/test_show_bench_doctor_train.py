@@ -182,6 +182,7 @@ def test_doctor_begins_with_what_does_not_work(
                 raise metadata.PackageNotFoundError(name)
             return versions(name)
 
+        # An environment without the packages would have to be installed.
         monkeypatch.setattr(metadata, "version", version)
 
     def first_rows() -> list[list[str]]:
@@ -258,6 +259,7 @@ def test_without_opengl_a_run_only_warns(
     def missing(*args: object, **kwargs: object) -> None:
         raise ImportError("libEGL.so.1: cannot open shared object file")
 
+    # libEGL is installed here.
     monkeypatch.setattr(mujoco.egl, "GLContext", missing)
     short = ("num_envs=1", "max_steps=2", "record=none", "--json")
     assert main(["run", "task=random_reach", *short]) == 0

@@ -151,6 +151,7 @@ def test_films(trained, capsys, monkeypatch):
     assert main(["train", *TINY, "eval.episodes=0", "video=true"]) == 2
     assert "video: there is no evaluation to film" in capsys.readouterr().err
     find_spec = importlib.util.find_spec
+    # Both are installed here.
     absent = {"imageio", "imageio_ffmpeg"}
     monkeypatch.setattr(
         "importlib.util.find_spec", lambda name: None if name in absent else find_spec(name)
@@ -167,6 +168,7 @@ def test_a_training_that_dies_leaves_a_summary(tmp_path, monkeypatch, capsys):
     def broken(self, *arguments):
         raise RuntimeError("the network has gone")
 
+    # No config makes a learner fail in the middle of its updates.
     monkeypatch.setattr(session.Session, "learn", broken)
     assert main(["train", *TINY, "--quiet", "eval.episodes=0", f"output_dir={tmp_path}"]) == 1
     (path,) = tmp_path.glob("*/*/summary.json")

@@ -123,6 +123,7 @@ def test_the_verb_says_who_may_connect(log, capsys, monkeypatch):
         with Client(server, origin="http://lichtblick.example") as client:
             client.meet(5)
 
+    # The server ends with the log: a client has to come while it is streamed.
     monkeypatch.setattr(foxglove, "stream_log", tried)
     words = ["view", str(log), "--serve", "--port", "0"]
     origin = ["--allow-origin", "http://lichtblick.example"]
