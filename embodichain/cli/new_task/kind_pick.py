@@ -13,13 +13,12 @@ from embodichain.cli.new_task.kind_reach import joint_scales
 from embodichain.cli.new_task.task_draft import (
     TaskDraft,
     camera_words,
-    first_positions,
+    cube_words,
     joint_map,
     list_of,
     number,
     reach_beyond_tool,
     rounded,
-    tool_keys,
 )
 from embodichain.cli.new_task.work_area import Layout, find_work_areas
 
@@ -85,10 +84,7 @@ def draft_pick(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
         half = [0.1 * size, 0.15 * size]
         goal_z = 0.5 * cube + 0.1 * size + 0.05
         words = {
-            "init_qpos": first_positions(robot, {**area.qpos, **opened}),
-            "tool_place": list_of(np.round(area.tool, 3)),
-            "cube": number(cube),
-            "mass": number(rounded(_DENSITY * cube**3)),
+            **cube_words(robot, area, opened, cube=cube, density=_DENSITY),
             "target": number(rounded(0.4 * near)),
             "cube_place": list_of([x, 0, 0.5 * cube]),
             "goal_place": list_of([x, 0, round(goal_z, 3)]),
@@ -96,7 +92,6 @@ def draft_pick(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
             "goal_range": f"[{list_of([-half[0], -half[1], -0.08 * size])}, "
             f"{list_of([*half, 0.08 * size])}]",
             "turn": "45" if len(joints) > 4 else "0",
-            "tool_keys": tool_keys(robot),
             "scale": joint_map(scales),
             "near": number(near),
             "grasp_height": number(round(grasp_height, 4)),

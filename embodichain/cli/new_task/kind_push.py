@@ -12,12 +12,11 @@ from embodichain.cli.new_task.guesses import Guess
 from embodichain.cli.new_task.task_draft import (
     TaskDraft,
     camera_words,
-    first_positions,
+    cube_words,
     list_of,
     number,
     reach_beyond_tool,
     rounded,
-    tool_keys,
 )
 from embodichain.cli.new_task.work_area import Layout, WorkArea, find_work_areas
 from embodichain.utils.errors import ConfigError
@@ -107,16 +106,12 @@ def _words(
         [x + 0.4 * size, goal_y + 0.4 * size, 0.5],
     ]
     words = {
-        "init_qpos": first_positions(robot, {**area.qpos, **closed}),
-        "tool_place": list_of(np.round(area.tool, 3)),
-        "cube": number(cube),
-        "mass": number(rounded(_DENSITY * cube**3)),
+        **cube_words(robot, area, closed, cube=cube, density=_DENSITY),
         "cube_place": list_of([x, cube_y, 0.5 * cube]),
         "goal_place": list_of([x, goal_y, 0.001]),
         "cube_range": _box(0.03 * size, 0.02 * size),
         "goal_range": _box(0.05 * size, 0.05 * size),
         "near": number(rounded(0.1 * size)),
-        "tool_keys": tool_keys(robot),
         "rotation": "keep" if keeps else "free",
         "step": number(rounded(_STEP * size)),
         "step_z": number(rounded(0.25 * _STEP * size)),

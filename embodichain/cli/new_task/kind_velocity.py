@@ -73,6 +73,7 @@ def draft_velocity(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
         "scale": joint_map(dict.fromkeys(joints, _SCALE)),
         "ahead": list_of([-ahead, ahead]),
         "sideways": list_of([-ahead, ahead] if rolls else [0, 0]),
+        "pushed": list_of([-0.5 * ahead, 0.5 * ahead]),
         "turning": list_of([-turning, turning]),
         "period": number(period),
         "effort_weight": f"{-4e-6 * effort:.1e}",

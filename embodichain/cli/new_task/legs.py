@@ -38,8 +38,17 @@ _ASIDE = 0.35
 """Share of its length by which a foot may be before or behind its hip."""
 _STANDING = 0.85
 """Share of its length to which a stretched or folded leg is bent."""
+_STANDING_ON_MANY = 0.7
+"""The same of robots with more than two legs, under their weight."""
+_SPREAD = 0.1
+"""Angle in rad by which bent legs point outwards, as those of quadrupeds that are trained do.
+
+With the feet below the hips a robot of four narrow legs falls over when it is pushed.
+"""
 _BENDS = (0.7, -0.7)
 """Angles in rad of the thigh from which the search for a standing leg begins."""
+_MARGIN = 0.03
+"""Share of a joint's range that is left free at both ends."""
 _ITERATIONS = 100
 _ARRIVED = 5e-3
 """Distance in metres at which a foot is where it was sent."""
@@ -103,25 +112,39 @@ def legs_with_feet(model: mujoco.MjModel, data: mujoco.MjData, feet: Sequence[st
     return legs
 
 
-def stand(model: mujoco.MjModel, data: mujoco.MjData, legs: Sequence[Leg]) -> list[str]:
+def stand(
+    model: mujoco.MjModel, data: mujoco.MjData, legs: Sequence[Leg], *, yields: bool
+) -> list[str]:
     """Bend legs that are stretched or folded, in `data`; return the feet of those that were bent.
+
+    More than two legs are spread a little as well.
 
     Args:
         model: The robot.
         data: Its first state, which is changed.
         legs: Its legs.
+        yields: Whether drives with `leg_gains` move them. More than two legs are then bent less, by
+            what such drives yield to the weight: the robot sinks until its feet are below its hips.
     """
     bent: list[str] = []
+    is_on_many = len(legs) > 2
     for leg in legs:
         hip = data.xanchor[model.joint(_first_pitch(model, data, leg)).id].copy()
-        way = foot_position(data, leg) - hip
+        foot = foot_position(data, leg)
+        way = foot - hip
         share = float(np.linalg.norm(way)) / leg.length
         is_aside = abs(float(way[0])) > _ASIDE * leg.length
         if way[2] < 0 and _FOLDED <= share <= _STRAIGHT and not is_aside:
             continue
-        place = np.array([hip[0], foot_position(data, leg)[1], hip[2] - _STANDING * leg.length])
+        drop = leg.length * (_STANDING_ON_MANY if is_on_many else _STANDING)
+        place = np.array([hip[0], foot[1], hip[2] - drop])
+        if is_on_many and _rolls(model, data, leg):
+            middle = float(np.mean([foot_position(data, other)[1] for other in legs]))
+            place[1] += np.sign(foot[1] - middle) * drop * np.tan(_SPREAD)
         if _bend(model, data, leg, place):
             bent.append(leg.foot)
+            if is_on_many and yields:
+                _raise(model, data, leg, legs)
     return bent
 
 
@@ -133,7 +156,7 @@ def leg_gains(model: mujoco.MjModel, legs: Sequence[Leg]) -> tuple[float, float]
     weight = 9.81 * float(model.body_subtreemass[0])
     length = float(np.mean([leg.length for leg in legs]))
     stiffness = float(f"{weight / len(legs) * length / _SAG:.1g}")
-    return stiffness, float(f"{stiffness / 50:.1g}")
+    return stiffness, float(f"{stiffness / 40:.1g}")
 
 
 def trot_phases(data: mujoco.MjData, legs: Sequence[Leg]) -> list[float]:
@@ -208,6 +231,12 @@ def _ends_of_chains(model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[
     ]
 
 
+def _rolls(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
+    """Whether a joint of a leg moves it sideways."""
+    axes = np.array([data.xaxis[model.joint(name).id] for name in leg.joints])
+    return bool((np.abs(axes[:, 0]) > 0.8).any())
+
+
 def _first_pitch(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> str:
     """The first joint that swings a leg forwards, else its first joint."""
     for name in leg.joints:
@@ -225,6 +254,26 @@ def _with_length(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> Leg:
     return Leg(leg.foot, leg.kind, leg.body, leg.joints, length)
 
 
+def _raise(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, legs: Sequence[Leg]) -> None:
+    """Move the pitching joints of a leg back by what drives yield to its share of the weight."""
+    import mujoco
+
+    stiffness, _ = leg_gains(model, legs)
+    force = np.array([0.0, 0.0, 9.81 * float(model.body_subtreemass[0]) / len(legs)])
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_jac(model, data, jacobian, None, foot_position(data, leg), model.body(leg.body).id)
+    for name in leg.joints[leg.joints.index(_first_pitch(model, data, leg)) :]:
+        joint = model.joint(name)
+        torque = float(jacobian[:, int(joint.dofadr[0])] @ force)
+        position = float(data.joint(name).qpos[0]) - torque / stiffness
+        if joint.limited[0]:
+            margin = _MARGIN * float(np.ptp(joint.range))
+            position = np.clip(position, joint.range[0] + margin, joint.range[1] - margin)
+        data.joint(name).qpos = position
+    mujoco.mj_kinematics(model, data)
+
+
 def _bend(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, place: F64) -> bool:
     """Move a leg's joints until its foot is at a place, if it can be there."""
     import mujoco
@@ -233,9 +282,9 @@ def _bend(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, place: F64) -> b
     columns = model.jnt_qposadr[ids]
     dofs = model.jnt_dofadr[ids]
     is_limited = model.jnt_limited[ids].astype(bool)
-    margin = 0.03 * (model.jnt_range[ids, 1] - model.jnt_range[ids, 0])
-    low = np.where(is_limited, model.jnt_range[ids, 0] + margin, -np.pi)
-    high = np.where(is_limited, model.jnt_range[ids, 1] - margin, np.pi)
+    margins = _MARGIN * np.ptp(model.jnt_range[ids], axis=1)
+    low = np.where(is_limited, model.jnt_range[ids, 0] + margins, -np.pi)
+    high = np.where(is_limited, model.jnt_range[ids, 1] - margins, np.pi)
     first = data.qpos[columns].copy()
     pitch = leg.joints.index(_first_pitch(model, data, leg))
     for bend in _BENDS:

@@ -25,6 +25,8 @@ __all__ = ["embodiment_text", "guess_embodiment"]
 
 _FINGER = re.compile(r"finger|jaw|thumb|knuckle|claw", re.IGNORECASE)
 _LEFT = re.compile(r"left|(^|[_/])l([_/]|$)", re.IGNORECASE)
+_FOOT_FRICTION = 1.0
+"""Sliding friction of a robot that walks: MuJoCo's default, and that of published trainings."""
 _ARM_GAINS = (500.0, 50.0)
 """Stiffness and damping of an arm's drives, N m/rad and N m s/rad."""
 
@@ -52,6 +54,9 @@ def guess_embodiment(fpath: str) -> list[Guess]:
     guesses += _leg_guesses(robot) if robot.is_floating else _arm_guesses(robot)
     guesses.append(Guess("names.base", robot.parsed.root_link_name, "the root link"))
     guesses.append(_drive_guess(robot))
+    if robot.legs and robot.is_urdf:
+        why = "a URDF has no friction: that of rubber feet"
+        guesses.append(Guess("attrs", f"{{dynamic_friction: {_FOOT_FRICTION:g}}}", why))
     return [_with_own_name(robot, guess) for guess in guesses]
 
 

@@ -152,6 +152,7 @@ class RobotFile:
         home: (D,) joint positions of the first pose, rad or m.
         height: Height of its root above the ground, m.
         is_floating: Whether its base is not fixed to the world.
+        is_urdf: Whether it is a URDF; else MJCF.
         legs: Those of a robot that walks.
         why_home: What the first pose was guessed from.
     """
@@ -162,6 +163,7 @@ class RobotFile:
     home: tuple[float, ...]
     height: float
     is_floating: bool
+    is_urdf: bool
     legs: tuple[Leg, ...] = ()
     why_home: str = ""
 
@@ -199,8 +201,10 @@ def read_robot_file(fpath: str) -> RobotFile:
     if is_floating:
         mujoco.mj_comPos(parsed.model, data)
         legs = find_legs(parsed.model, data, parsed.link_names)
-        if parsed.keyframe is None and stand(parsed.model, data, legs):
+        if parsed.keyframe is None and stand(parsed.model, data, legs, yields=_yields(parsed)):
             why_home = "legs bent until the feet are below the hips"
+            if len(legs) > 2:
+                why_home += " under the weight, and spread a little"
     elif parsed.keyframe is None and not _unservoed_joints(parsed, active):
         before = data.qpos.copy()
         scales = _scales(parsed, active)
@@ -217,6 +221,7 @@ def read_robot_file(fpath: str) -> RobotFile:
         home=tuple(round(float(data.joint(n).qpos[0]), 3) + 0.0 for n in parsed.joint_names),
         height=lift + float(parsed.placement.root_pos[2]) if is_floating else lift,
         is_floating=is_floating,
+        is_urdf=file.is_urdf,
         legs=tuple(legs),
         why_home=why_home,
     )
@@ -325,6 +330,11 @@ def _unservoed_joints(parsed: ParsedArticulation, active: Sequence[int]) -> list
     if not parsed.own_actuators:
         return []
     return [parsed.joint_names[i] for i in active if not parsed.drives[i]]
+
+
+def _yields(parsed: ParsedArticulation) -> bool:
+    """Whether a robot has no position servo of its file, so that an embodiment gives it drives."""
+    return not (parsed.own_actuators and any(parsed.drives))
 
 
 def _first_state(parsed: ParsedArticulation, is_floating: bool) -> mujoco.MjData:

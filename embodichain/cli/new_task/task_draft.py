@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.cli.new_task.embodied_robot import EmbodiedRobot
+    from embodichain.cli.new_task.work_area import WorkArea
 
     F64 = NDArray[np.float64]
 
@@ -25,13 +26,12 @@ __all__ = [
     "TaskDraft",
     "ToolShape",
     "camera_words",
-    "first_positions",
+    "cube_words",
     "joint_map",
     "list_of",
     "number",
     "reach_beyond_tool",
     "rounded",
-    "tool_keys",
 ]
 
 
@@ -71,7 +71,7 @@ def joint_map(values: Mapping[str, float]) -> str:
     return f"{{{', '.join(items)}}}"
 
 
-def first_positions(robot: EmbodiedRobot, changes: Mapping[str, float]) -> str:
+def _first_positions(robot: EmbodiedRobot, changes: Mapping[str, float]) -> str:
     """`init_qpos` as YAML with some joints elsewhere, in the form that the embodiment has.
 
     A list cannot be merged with a map.
@@ -90,7 +90,7 @@ def first_positions(robot: EmbodiedRobot, changes: Mapping[str, float]) -> str:
     return f"[{', '.join(f'{round(value, 6) + 0.0:.7g}' for value in values)}]"
 
 
-def tool_keys(robot: EmbodiedRobot) -> str:
+def _tool_keys(robot: EmbodiedRobot) -> str:
     """The key by which a reference names the tool."""
     return "site: tool" if robot.tool().kind == "site" else "link: tool"
 
@@ -111,6 +111,32 @@ def camera_words(robot: EmbodiedRobot) -> tuple[str, list[Guess]]:
         ]
         guesses.append(Guess(f"sensors.{word}", name, "a camera of the file, on the wrist"))
     return "".join(f"{line}\n" for line in lines), guesses
+
+
+def cube_words(
+    robot: EmbodiedRobot,
+    area: WorkArea,
+    gripper: Mapping[str, float],
+    *,
+    cube: float,
+    density: float,
+) -> dict[str, str]:
+    """The template's variables of tasks in which a tool begins near a cube.
+
+    Args:
+        robot: The robot.
+        area: Where the tool works.
+        gripper: First positions of the gripper's joints, rad or m.
+        cube: Side of the cube, m.
+        density: Its density, kg/m^3.
+    """
+    return {
+        "init_qpos": _first_positions(robot, {**area.qpos, **gripper}),
+        "tool_place": list_of(np.round(area.tool, 3)),
+        "tool_keys": _tool_keys(robot),
+        "cube": number(cube),
+        "mass": number(rounded(density * cube**3)),
+    }
 
 
 @dataclass(frozen=True)

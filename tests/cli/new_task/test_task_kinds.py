@@ -151,9 +151,10 @@ def test_a_dog_of_motors_stands_on_drives(capsys: pytest.CaptureFixture[str]) ->
     feet = [f"{side}_{end}_pad" for end in ("front", "hind") for side in ("left", "right")]
     assert robot["names"]["feet"] == feet
     assert set(robot["drive_pros"]["max_effort"].values()) == {30}
-    _, swing, bend, *_ = robot["init_qpos"]
-    # 0.85 of the leg's 0.4 m, the foot below the hip: an isosceles triangle of two 0.2 m bones.
-    assert bend == pytest.approx(-2 * swing, abs=0.05)
+    # Its hind legs are those of the front, and left is right, turned outwards on both sides.
+    abduct, swing, bend = robot["init_qpos"][:3]
+    assert robot["init_qpos"] == [abduct, swing, bend, -abduct, swing, bend] * 2
+    assert 0.08 < abduct < 0.1
     task = read("conf/task/mine.yaml")
     phases = task["rewards"]["gait"]["params"]["offsets"]
     assert phases["left_front_pad"] == phases["right_hind_pad"]
@@ -162,15 +163,46 @@ def test_a_dog_of_motors_stands_on_drives(capsys: pytest.CaptureFixture[str]) ->
     assert task["symmetry"]["swap"]["left_hind_bend"] == "right_hind_bend"
     assert "left_front_abduct" in task["symmetry"]["opposite"]
     assert "left_front_swing" not in task["symmetry"]["opposite"]
+
+
+@pytest.mark.parametrize(
+    ("robot", "length"), [("dog.xml", 0.4), ("go1_description/urdf/go1.urdf", 0.426)]
+)
+def test_a_quadruped_that_is_pushed_stands_on_soft_drives(
+    capsys: pytest.CaptureFixture[str], robot: str, length: float
+) -> None:
+    """Drives yield to the weight until legs have 0.7 of their length, and the trunk is level."""
     from embodichain.lab.gym.policies import resolve_policy
 
-    env = embodichain.make("mine", 4, ["seed=1"])
+    new(capsys, "mine", "--kind", "velocity", "--robot", robot)
+    env = embodichain.make("mine", 16, ["seed=1"])
     obs, _ = env.reset()
     hold = resolve_policy("hold")
-    for _ in range(100):
+    for step in range(100):
         obs, _, terminated, _, _ = env.step(hold(obs, env))
         assert not terminated.any()
+        if step == 24:  # later the feet slide outwards slowly
+            height = float(env.robot.get_local_pose()[:, 2].median())
+            assert height == pytest.approx(0.7 * length + 0.02, abs=0.02)
+            assert abs(float(obs["gravity"][:, 0].median())) < 0.06
     env.close()
+
+
+def test_the_feet_of_a_urdf_have_the_friction_of_rubber(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """An MJCF has friction of its own, and an arm does not walk."""
+    for name, robot in (
+        ("my_go1", "go1_description/urdf/go1.urdf"),
+        ("dog", "dog.xml"),
+    ):
+        new(capsys, name, "--kind", "velocity", "--robot", robot)
+    new(capsys, "arm", "--kind", "reach", "--robot", "UniversalRobots/UR5e/UR5e.urdf")
+    assert read("conf/embodiment/my_go1.yaml")["robot"]["attrs"] == {"dynamic_friction": 1}
+    assert "attrs" not in read("conf/embodiment/dog.yaml")["robot"]
+    arms = [path for path in Path("conf/embodiment").iterdir() if "ur5e" in path.stem]
+    assert arms
+    assert all("attrs" not in read(str(path))["robot"] for path in arms)
 
 
 def test_legs_that_only_swing_have_no_command_to_the_side(
