@@ -149,13 +149,10 @@ def test_what_slurm_refuses_is_said(sweep: Callable[..., Command]) -> None:
     assert "invalid partition specified: nowhere" in said
 
 
-def test_a_study_runs_its_jobs_on_slurm(cluster: Slurm, tmp_path: Path) -> None:
+def test_a_study_runs_its_jobs_on_slurm(commands: Commands, cluster: Slurm, tmp_path: Path) -> None:
     write_study(tmp_path)
-    command = [sys.executable, "-m", "embodichain", "study", "tiny", "--quiet", *ON_SLURM]
-    process = subprocess.Popen(
-        command, cwd=tmp_path, env=cluster.env, stderr=subprocess.PIPE, text=True
-    )
-    code, said = ended(process)
+    study = ("study", "tiny", "--quiet", *ON_SLURM)
+    code, said = ended(commands.start(*study, cwd=tmp_path, env=cluster.env))
     check_study(tmp_path, code, said)
     log = (tmp_path / "outputs/studies/tiny/jobs/.logs/zero-cart_pole-0.log").read_text()
     assert "zero-cart_pole-0: eval-clean: begins" in log
