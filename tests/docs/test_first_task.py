@@ -1,4 +1,4 @@
-"""The task at the top of README.md and of the home page: twelve lines, and every robot it names."""
+"""The task at the top of README.md and of the home page, with every robot that it names."""
 
 import re
 from pathlib import Path
@@ -17,9 +17,8 @@ def task_of(page: str) -> str:
     return match[1]
 
 
-def test_both_pages_have_the_same_twelve_lines() -> None:
+def test_both_pages_have_the_same_task() -> None:
     assert task_of("README.md") == task_of("docs/index.md")
-    assert len(task_of("README.md").splitlines()) == 12
 
 
 @pytest.mark.parametrize("embodiment", ["ur10", "panda", "ur5e", "so101"])
