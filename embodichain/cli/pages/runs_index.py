@@ -156,10 +156,12 @@ def page_of_runs(folder: Path, out: Path, say: Callable[[str], None]) -> str:
         raise ConfigError(f"{folder} has no run: there is no {CONFIG} of one in it or below")
     rows.sort(key=lambda row: row.begun, reverse=True)
     is_sweep = (folder / SWEEP).is_file()
+    name = folder.resolve().name
+    shown_folder = display_path(folder)
     context = {
-        "title": f"{'sweep' if is_sweep else 'runs'} {folder.name}",
+        "title": f"{'sweep' if is_sweep else 'runs'} {name}",
         "heading": "Sweep" if is_sweep else "Runs",
-        "folder": display_path(folder),
+        "folder": name if shown_folder == "." else shown_folder,
         "studies": studies,
         "rows": rows,
         "columns": _columns(rows),

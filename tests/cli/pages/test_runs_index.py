@@ -55,6 +55,14 @@ def names(text: str) -> list[str]:
     return [html.unescape(name) for name in re.findall(r'class="folder">(.*?)</span>', text)]
 
 
+def test_the_index_of_the_working_folder_has_its_name(runs: Path, monkeypatch) -> None:
+    monkeypatch.chdir(runs)
+    assert main(["report", ".", "--quiet"]) == 0
+    text = (runs / "index.html").read_text(encoding="utf-8")
+    assert '<p class="soft">outputs</p>' in text
+    assert "<title>runs outputs</title>" in text
+
+
 @contextmanager
 def opened(path: Path, width: int = 1400) -> Iterator[Any]:
     """The page in a browser; an error, or something that its policy forbids, is an error here."""
