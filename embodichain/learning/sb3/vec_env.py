@@ -173,7 +173,6 @@ class SB3VecEnv(VecEnv):
         Raises:
             ValueError: If the shape is wrong.
         """
-        require_open(self.base.is_closed)
         self._action = self._scale(actions)
 
     def step_wait(self) -> tuple[Observed, F32, Bool, Infos]:
