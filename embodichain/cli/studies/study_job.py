@@ -93,7 +93,7 @@ class StudyFolder:
 
     def search(self, job: StudyJob) -> Path:
         """The folder of the search for an arm's values on a task."""
-        return self.path / "search" / f"{job.arm}-{job.task}"
+        return self.path / "search" / job.name.removesuffix(f"-{job.seed}")
 
     def chosen(self, job: StudyJob) -> list[str]:
         """The overrides that the search of a job's arm has chosen; empty without a search.

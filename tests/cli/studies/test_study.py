@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from tests.helpers.commands import Commands
 
 pytestmark = pytest.mark.slow
 
+SHIPPED = Path(__file__).parents[3] / "conf"
 MINI = """
 description: Two policies that need no training.
 tasks: [cart_pole]
@@ -240,6 +242,15 @@ def test_mistakes_are_told_before_anything_starts(
     for sentence in sentences:
         assert sentence in said
     assert not folder.exists()
+
+
+def test_two_jobs_do_not_share_a_folder(write_study, tmp_path: Path, capsys) -> None:
+    write_study("mini", MINI.replace("zero:", "a-b:").replace("random:", "a:"))
+    (tmp_path / "conf/task").mkdir()
+    shutil.copy(SHIPPED / "task/cart_pole.yaml", tmp_path / "conf/task/b-cart_pole.yaml")
+    assert main(["study", "mini", "tasks=[cart_pole,b-cart_pole]", "seeds=[0]"]) == 2
+    said = capsys.readouterr().err
+    assert "a-b on cart_pole and a on b-cart_pole have one name, a-b-cart_pole-0: rename" in said
 
 
 def test_an_unknown_study_is_answered_with_those_that_exist(write_study, capsys) -> None:
