@@ -185,7 +185,7 @@ def test_jobs_of_workers_are_those_of_one_process(write_study) -> None:
 
 
 def test_a_study_that_is_killed_five_times_ends_with_the_same_table(
-    write_study, commands: Commands, tmp_path: Path
+    write_study, commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
     folder = write_study("small", TRAINED)
     arguments = ("study", "small", UNRECORDED, ONE_BY_ONE, "--quiet")
@@ -210,6 +210,16 @@ def test_a_study_that_is_killed_five_times_ends_with_the_same_table(
         assert point.exists()
     assert commands.run(*arguments, cwd=tmp_path).returncode == 0
     assert (folder / "episodes.csv").read_bytes() == whole
+
+    # A training that is repeated and fails leaves no evaluation of the earlier one in the results.
+    def fail(job: Any) -> None:
+        raise RuntimeError("no luck")
+
+    monkeypatch.setattr("embodichain.cli.studies.study_job.train_job", fail)
+    assert main([*arguments, "train=[num_envs=4,total_timesteps=128]"]) == 1
+    assert "train failed: no luck" in capsys.readouterr().err
+    assert main(["report", str(folder)]) == 2
+    assert "no evaluation of the study small is done" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
