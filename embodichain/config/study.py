@@ -73,7 +73,7 @@ class StudyJob:
     @property
     def name(self) -> str:
         """Its name, which is that of its folder."""
-        return f"{self.arm}-{self.task}-{self.seed}"
+        return f"{self.arm}-{self.task.replace('/', '.')}-{self.seed}"
 
     @property
     def arm_cfg(self) -> ArmCfg:
@@ -301,6 +301,12 @@ def _mistakes(study: Study) -> Iterator[Problem]:
             yield Problem(f"arms.{name}", "has a policy, and keys of a training: use one of them")
         if arm.policy is not None and _is_path(arm.policy) and not Path(arm.policy).exists():
             yield Problem(f"arms.{name}.policy", f"there is no such file or folder: {arm.policy}")
+    names: dict[str, StudyJob] = {}
+    for job in study.jobs():
+        other = names.setdefault(job.name, job)
+        if other != job:
+            message = f"{other.arm} on {other.task} and {job.arm} on {job.task} have one name, "
+            yield Problem("arms", f"{message}{job.name}: rename an arm")
     places = {"train": cfg.train, "evaluate.overrides": cfg.evaluate.overrides}
     for name, arm in study.arms.items():
         train_place = f"arms.{name}" if isinstance(cfg.arms[name], list) else f"arms.{name}.train"

@@ -23,7 +23,7 @@ from embodichain.config.run_folder import versions
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.atomic import write_text
 
-__all__ = ["Stage", "read_stage"]
+__all__ = ["Stage", "mark_undone", "read_stage"]
 
 RECORD = "stage.json"
 _LIBRARIES = ("python", "mujoco", "numpy", "torch", "stable-baselines3", "gymnasium")
@@ -48,13 +48,13 @@ class Stage:
     verb: JobVerb
     inputs: Mapping[str, Path]
 
-    def run(self, work: Work, command: list[str], say: Callable[[str], None]) -> bool:
+    def run(self, work: Work, command: list[str], begin: Callable[[str], None]) -> bool:
         """Run the stage unless it is done already.
 
         Args:
             work: The work of the stage.
             command: The command line, for the record of the run.
-            say: Called with one line before the stage runs: why it does.
+            begin: Called with one line before the stage runs: why it does.
 
         Returns:
             Whether it ran.
@@ -67,7 +67,7 @@ class Stage:
         reason = self._why(record, made_from)
         if reason is None:
             return False
-        say(reason)
+        begin(reason)
         # An evaluation is not continued, only a training.
         is_outdated = bool(record) and (record.get("inputs") != made_from or self.verb != "train")
         with enter(
@@ -147,6 +147,18 @@ def read_stage(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
     return record if isinstance(record, dict) else {}
+
+
+def mark_undone(folder: Path) -> None:
+    """Let a stage that is done run again: what it was made from has changed, or may have.
+
+    Raises:
+        ConfigError: Its record is damaged.
+        OSError: It cannot be written.
+    """
+    record = read_stage(folder)
+    if record.get("done"):
+        _write(folder, {**record, "done": False})
 
 
 def _relevant(resolved: Resolved) -> dict[str, Any]:

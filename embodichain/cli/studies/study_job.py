@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,7 +25,7 @@ from embodichain.cli.jobs.work.evaluate_job import (
     write_evaluation_receipt,
 )
 from embodichain.cli.jobs.work.train_job import train_job
-from embodichain.cli.studies.stages import Stage, read_stage
+from embodichain.cli.studies.stages import Stage, mark_undone, read_stage
 from embodichain.cli.sweeps.sweep_jobs import JobStoppedError, exclusive, read_summary
 from embodichain.cli.sweeps.sweep_progress import JobRow, read_numbers
 from embodichain.config.run_folder import CHECKPOINT, STUDY, SUMMARY
@@ -93,7 +93,7 @@ class StudyFolder:
 
     def search(self, job: StudyJob) -> Path:
         """The folder of the search for an arm's values on a task."""
-        return self.path / "search" / f"{job.arm}-{job.task}"
+        return self.path / "search" / job.name.removesuffix(f"-{job.seed}")
 
     def chosen(self, job: StudyJob) -> list[str]:
         """The overrides that the search of a job's arm has chosen; empty without a search.
@@ -134,6 +134,19 @@ class StudyFolder:
             ConfigError: The folder above cannot be made.
         """
         return exclusive(self.path, "study")
+
+    def mark_undone(self, job: StudyJob, stage: str) -> None:
+        """Let an evaluation of a job run again, so that no table has it; all after a training.
+
+        Args:
+            job: The job.
+            stage: The name of a stage's folder: `TRAINING`, or an evaluation's.
+        """
+        names = [self.evaluation(job, variation).name for variation in job.study.variations]
+        if stage in names:
+            names = [stage]
+        for name in names:
+            mark_undone(self.job(job) / name)
 
     def forget_outcome(self, job: StudyJob) -> None:
         """Remove what an earlier start has said about the end of a job."""
@@ -219,6 +232,8 @@ def run_study_job(folder: Path, name: str, *, num_threads: int | None, command: 
 def _write_failure(place: StudyFolder, job: StudyJob, stage: str, error: Exception) -> None:
     """Write what ended a job into its folder, and say it."""
     text = str(error) or type(error).__name__
+    if stage:  # it may have failed before it began
+        _trying_to_write(lambda: place.mark_undone(job, stage), job)
     log = place.job(job) / stage / "run.log"
     tail: list[str] = []
     if log.is_file():
@@ -238,11 +253,16 @@ def _write_failure(place: StudyFolder, job: StudyJob, stage: str, error: Excepti
 
 def _write_outcome(place: StudyFolder, job: StudyJob, facts: Mapping[str, Any]) -> None:
     """Write how a job has ended into its folder, for launchers and for the end of the study."""
-    path = place.job(job) / SUMMARY
+    text = json.dumps(facts, indent=2) + "\n"
+    _trying_to_write(lambda: write_text(place.job(job) / SUMMARY, text), job)
+
+
+def _trying_to_write(write: Callable[[], None], job: StudyJob) -> None:
+    """Write something; if the disk is full, say it, and let the other jobs go on."""
     try:
-        write_text(path, json.dumps(facts, indent=2) + "\n")
-    except OSError as error:  # a full disk: the other jobs go on, and the study counts this one
-        sys.stderr.write(f"{job.name}: cannot write {path}: {error}\n")
+        write()
+    except OSError as error:
+        sys.stderr.write(f"{job.name}: {error}\n")
 
 
 class _Runner:
@@ -282,9 +302,11 @@ class _Runner:
         if self._num_threads is not None:
             sim = {**stage.resolved.tree["sim"], "num_threads": self._num_threads}
             stage = replace(stage, resolved=stage.resolved.changed(sim=sim))
-        stage.run(work, self._command, self._say)
+        stage.run(work, self._command, self._begin)
 
-    def _say(self, line: str) -> None:
+    def _begin(self, line: str) -> None:
+        """Say that a stage begins; what was made of an earlier run of it counts no longer."""
+        self._place.mark_undone(self._job, self.stage)
         sys.stderr.write(f"{self._job.name}: {self.stage}: {line}\n")
         sys.stderr.flush()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -75,8 +75,10 @@ class FailedEpisode:
     log: str
 
 
-def write_page(study: Study, place: StudyFolder, results: StudyResults) -> Path:
-    """Write the page of a study into its folder.
+def write_page(
+    study: Study, place: StudyFolder, results: StudyResults, say: Callable[[str], None]
+) -> Path:
+    """Write the page of a study into its folder; arguments as of `page_of_study`.
 
     Returns:
         The page.
@@ -86,13 +88,19 @@ def write_page(study: Study, place: StudyFolder, results: StudyResults) -> Path:
     """
     path = place.path / "report.html"
     try:
-        write_text(path, page_of_study(study, place, results, path))
+        write_text(path, page_of_study(study, place, results, path, say))
     except OSError as error:
         raise ConfigError(f"cannot write {path}: {error}") from error
     return path
 
 
-def page_of_study(study: Study, place: StudyFolder, results: StudyResults, out: Path) -> str:
+def page_of_study(
+    study: Study,
+    place: StudyFolder,
+    results: StudyResults,
+    out: Path,
+    say: Callable[[str], None],
+) -> str:
     """Return the page of a study as HTML; films of failed episodes are written beside it.
 
     Args:
@@ -100,6 +108,7 @@ def page_of_study(study: Study, place: StudyFolder, results: StudyResults, out: 
         place: Its folder.
         results: Its results.
         out: Where the page will be; it links to films and logs from there.
+        say: Called with a line if episodes have to be drawn, seconds each.
     """
     notes = list(results.notes)
     unfinished = [job.name for job in study.jobs() if not place.is_finished(job)]
@@ -121,7 +130,7 @@ def page_of_study(study: Study, place: StudyFolder, results: StudyResults, out: 
         "description": study.cfg.description,
         "results": list(_headline(study, results)),
         "sections": sections,
-        "episodes": _failed_episodes(study, place, out, notes),
+        "episodes": _failed_episodes(study, place, out, notes, say),
         "notes": notes,
         "files": [(path.name, _address(path, out)) for path in place.tables()],
         "config": dump_yaml(study.tree),
@@ -228,7 +237,11 @@ def _bins(factors: Factors) -> tuple[str, list[dict[str, Any]]]:
 
 
 def _failed_episodes(
-    study: Study, place: StudyFolder, out: Path, notes: list[str]
+    study: Study,
+    place: StudyFolder,
+    out: Path,
+    notes: list[str],
+    say: Callable[[str], None],
 ) -> list[FailedEpisode]:
     """Pictures and films of failed episodes: one of each arm, task and variation in turn."""
     by_place: list[tuple[StudyJob, str, list[PlayedEpisode]]] = []
@@ -242,6 +255,8 @@ def _failed_episodes(
         for job, variation, failed in by_place:
             if index < len(failed) and len(chosen) < _MOST_EPISODES:
                 chosen.append((job, variation, failed[index]))
+    if chosen:
+        say(f"drawing {len(chosen)} failed episodes for the page")
     episodes: list[FailedEpisode] = []
     for job, variation, episode in chosen:
         gallery = draw_failures([episode])

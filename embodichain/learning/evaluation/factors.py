@@ -177,8 +177,9 @@ def rank_factors(factors: Mapping[str, ArrayLike], success: ArrayLike) -> Factor
         return FactorRanking((), (), int(succeeded.size), tuple(notes))
     if rarer < _LEAST_OF_KIND * len(columns):
         kind = "succeeded" if succeeded.sum() == rarer else "failed"
+        noun = "episode" if rarer == 1 else "episodes"
         notes.append(
-            f"{rarer} episodes {kind}: a model of {len(columns)} factors needs at least "
+            f"{rarer} {noun} {kind}: a model of {len(columns)} factors needs at least "
             f"{_LEAST_OF_KIND * len(columns)}"
         )
         return FactorRanking((), (), int(succeeded.size), tuple(notes))

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from tests.helpers.commands import Commands
 
 pytestmark = pytest.mark.slow
 
+SHIPPED = Path(__file__).parents[3] / "conf"
 MINI = """
 description: Two policies that need no training.
 tasks: [cart_pole]
@@ -186,7 +188,7 @@ def test_jobs_of_workers_are_those_of_one_process(write_study) -> None:
 
 
 def test_a_study_that_is_killed_five_times_ends_with_the_same_table(
-    write_study, commands: Commands, tmp_path: Path
+    write_study, commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
     folder = write_study("small", TRAINED)
     arguments = ("study", "small", UNRECORDED, ONE_BY_ONE, "--quiet")
@@ -211,6 +213,16 @@ def test_a_study_that_is_killed_five_times_ends_with_the_same_table(
         assert point.exists()
     assert commands.run(*arguments, cwd=tmp_path).returncode == 0
     assert (folder / "episodes.csv").read_bytes() == whole
+
+    # A training that is repeated and fails leaves no evaluation of the earlier one in the results.
+    def fail(job: Any) -> None:
+        raise RuntimeError("no luck")
+
+    monkeypatch.setattr("embodichain.cli.studies.study_job.train_job", fail)
+    assert main([*arguments, "train=[num_envs=4,total_timesteps=128]"]) == 1
+    assert "train failed: no luck" in capsys.readouterr().err
+    assert main(["report", str(folder)]) == 2
+    assert "no evaluation of the study small is done" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -243,6 +255,15 @@ def test_mistakes_are_told_before_anything_starts(
     for sentence in sentences:
         assert sentence in said
     assert not folder.exists()
+
+
+def test_two_jobs_do_not_share_a_folder(write_study, tmp_path: Path, capsys) -> None:
+    write_study("mini", MINI.replace("zero:", "a-b:").replace("random:", "a:"))
+    (tmp_path / "conf/task").mkdir()
+    shutil.copy(SHIPPED / "task/cart_pole.yaml", tmp_path / "conf/task/b-cart_pole.yaml")
+    assert main(["study", "mini", "tasks=[cart_pole,b-cart_pole]", "seeds=[0]"]) == 2
+    said = capsys.readouterr().err
+    assert "a-b on cart_pole and a on b-cart_pole have one name, a-b-cart_pole-0: rename" in said
 
 
 def test_an_unknown_study_is_answered_with_those_that_exist(write_study, capsys) -> None:

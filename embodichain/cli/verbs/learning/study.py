@@ -66,12 +66,12 @@ def command(options: StudyOptions) -> int | None:
     check_searches(study)
     place = folder_of(study)
     check_policies(study, place)
+
+    def say(line: str) -> None:
+        if not quiet:
+            sys.stderr.write(f"{line}\n")
+
     if options.dry_run:
-
-        def say(line: str) -> None:
-            if not quiet:
-                sys.stderr.write(f"{line}\n")
-
         title, rows = job_table(study, place, say)
         if options.json:
             print_json({"jobs": rows})
@@ -89,7 +89,7 @@ def command(options: StudyOptions) -> int | None:
         unfinished = [job for job in study.jobs() if not place.is_finished(job)]
         if place.has_results(study):
             results = write_results(study, place)
-            page = write_page(study, place, results)
+            page = write_page(study, place, results, say)
             if options.json:
                 print_json(results.as_dict())
             elif not options.quiet:

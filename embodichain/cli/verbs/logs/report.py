@@ -119,7 +119,7 @@ def _page(folder: Path, kind: str, out: Path, say: Callable[[str], None]) -> str
 
         place = StudyFolder(folder)
         study = place.read()
-        return page_of_study(study, place, read_results(study, place), out)
+        return page_of_study(study, place, read_results(study, place), out, say)
     if kind == "sweep":
         from embodichain.cli.sweeps.sweep_report import page_of_sweep
 
