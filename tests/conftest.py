@@ -27,6 +27,16 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 os.environ.pop("COLUMNS", None)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Collects without the garbage collector, which finds little: a quarter of the time."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+
+
 def pytest_collection_finish() -> None:
     """Spares the garbage collector what stays until the end: modules and thousands of tests."""
     gc.collect()

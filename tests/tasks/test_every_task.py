@@ -4,7 +4,6 @@ The tests of one task share its scene, compiled once, and follow each other; `gy
 `make_vec`, and what changes the scene, compile their own.
 """
 
-import functools
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from stable_baselines3.common.preprocessing import is_image_space
 
 import embodichain
-from embodichain.config import compose, list_options
+from embodichain.config import list_options
 from embodichain.config.environments.factory import make_env
 from embodichain.config.resolved import Resolved, compile_scene_of, resolve
 from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -65,12 +64,6 @@ WITH_SUCCESS = pytest.mark.parametrize(
 )
 
 
-@functools.cache
-def composed(task):
-    """The whole task, with what it takes over from another one; not to be written to."""
-    return compose([f"task={task}"]).tree["task"]
-
-
 def has_images(env):
     manager = env.observation_manager
     return "policy" in manager.groups and bool(manager.image_terms("policy"))
@@ -111,7 +104,7 @@ def test_task_file_says_what_it_is(task):
 
 @WITH_SUCCESS
 def test_task_has_a_reward_and_a_success(task):
-    tree = composed(task.name)
+    tree = task.resolved.tree["task"]
     assert tree["rewards"]
     assert "success" in tree["metrics"]
 
@@ -195,12 +188,13 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(task):
 
     first = played(1)
     assert first == played(1)
-    if composed(task.name).get("events"):
+    if task.resolved.tree["task"]["events"]:
         assert first != played(2)
 
 
 def test_task_config_composes_to_one_tree(task):
-    assert composed(task.name)["description"] == declared(task.name)["description"]
+    tree = task.resolved.tree["task"]
+    assert tree["description"] == declared(task.name)["description"]
 
 
 def lowest(model, data, geoms):

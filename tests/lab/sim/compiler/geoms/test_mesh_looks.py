@@ -20,9 +20,15 @@ from tests.lab.sim.compiler.helpers import INERTIAL
 RED, BLUE = (1, 0, 0, 1), (0, 0, 1, 1)
 
 
+@pytest.fixture(scope="module")
+def cache_folder(tmp_path_factory):
+    """Shared by the tests, since to split a mesh takes seconds; `test_store` tests the cache."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("EMBODICHAIN_CACHE", str(tmp_path / "cache"))
+def cache(cache_folder, monkeypatch):
+    monkeypatch.setenv("EMBODICHAIN_CACHE", str(cache_folder))
 
 
 def compiled(objects=None, robots=()):
