@@ -21,6 +21,8 @@ from embodichain.recording.film.moments import Moment, draw_moments
 from embodichain.recording.read.playback import Playback, Span
 from tests.helpers.walker import MJCF
 
+pytestmark = pytest.mark.slow
+
 TASK = """
 description: A walker is to move forward with 0.8 m/s, and to turn with 0.5 rad/s.
 max_episode_steps: 50
