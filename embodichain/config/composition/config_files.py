@@ -38,7 +38,7 @@ class _Parsed:
     """What a text says.
 
     Attributes:
-        config: Its content without the defaults list; shared, so that who merges it copies it.
+        config: Its content without the defaults list. It is shared: a merge has to copy it.
         defaults: The defaults list.
         header: What its first comment says: the package.
     """
