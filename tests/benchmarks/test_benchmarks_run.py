@@ -125,6 +125,7 @@ def test_step_profile_accounts_for_every_part(run, tmp_path):
 def test_the_page_is_written_from_the_figures_that_there_are(monkeypatch, tmp_path):
     page = tmp_path / "performance.md"
     page.write_text(PAGE.read_text(encoding="utf-8"), encoding="utf-8")
+    # The page of the checkout stays as it is.
     monkeypatch.setattr(everything, "PAGE", page)
     monkeypatch.setattr(sys, "argv", ["benchmarks", "--page"])
     everything.main()

@@ -162,6 +162,7 @@ def test_a_full_disk_after_a_checkpoint_says_how_to_go_on(tmp_path, monkeypatch,
     folder = Path("outputs/latest").resolve()
     assert "could not be written: No space left on device; with room again, `embodichain" in err
     assert "continues from its step_000000000032.zip" in err
+    # The disk has room again.
     monkeypatch.setattr(session, "save_checkpoint", real)
     assert main(["train", f"resume={folder}", "--quiet"]) == 0
     summary = json.loads(Path("outputs/latest/summary.json").read_text())

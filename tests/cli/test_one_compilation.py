@@ -46,6 +46,7 @@ def counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, int]:
         # Counts calls, which nothing else tells but the time.
         monkeypatch.setattr(module, "compile_scene", counted("scenes", module.compile_scene))
     read = counted("files", articulation.read_robot)
+    # Counted like the calls above.
     monkeypatch.setattr(articulation, "read_robot", read)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -90,6 +90,7 @@ def test_a_full_disk_is_said_loudly(write_task: WriteTask, monkeypatch: pytest.M
     def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
+    # A disk that is full, which a test cannot make.
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(ConfigError, match=r"cannot write .*config.yaml: .*No space left on device"):
         write_record(folder, resolved)
@@ -103,6 +104,7 @@ def test_a_failed_write_keeps_the_old_file(monkeypatch: pytest.MonkeyPatch) -> N
     def fails(descriptor: int) -> None:
         raise OSError(5, "Input/output error")
 
+    # A disk that fails, which a test cannot make.
     monkeypatch.setattr(os, "fsync", fails)
     with pytest.raises(OSError, match="Input/output error"):
         write_text(path, "new")

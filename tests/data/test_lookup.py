@@ -144,6 +144,7 @@ def test_closest_name_of_a_missing_absolute_path_is_beside_it(world):
 
 
 def test_without_example_robot_data_the_command_installs_it(monkeypatch):
+    # As if the package were not installed.
     monkeypatch.setattr(sys, "path", [])
     monkeypatch.setattr(sys, "prefix", "/nowhere")
     with pytest.raises(DataNotFoundError) as raised:

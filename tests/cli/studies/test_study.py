@@ -218,6 +218,7 @@ def test_a_study_that_is_killed_five_times_ends_with_the_same_table(
     def fail(job: Any) -> None:
         raise RuntimeError("no luck")
 
+    # Training fails here and nowhere else: the same inputs have worked before.
     monkeypatch.setattr("embodichain.cli.studies.study_job.train_job", fail)
     assert main([*arguments, "train=[num_envs=4,total_timesteps=128]"]) == 1
     assert "train failed: no luck" in capsys.readouterr().err

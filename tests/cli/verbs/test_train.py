@@ -113,6 +113,7 @@ def test_an_interrupted_evaluation_is_told_as_such(capsys, monkeypatch):
         os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C comes as the evaluation begins
         return real(*args, **kwargs)
 
+    # A signal from outside would come at another moment each time.
     monkeypatch.setattr(evaluation, "evaluate", interrupted)
     assert main(["train", *TINY, "--quiet", "record=none"]) == 130
     assert "interrupted (SIGINT); outputs" in capsys.readouterr().err

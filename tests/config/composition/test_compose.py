@@ -175,6 +175,7 @@ def test_hydras_state_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     # Another test of this process may have left Hydra's own singleton: begin without.
     monkeypatch.delitem(Singleton._instances, GlobalHydra, raising=False)
     compose(["task=reach"])
+    # Hydra offers no way to ask that does not create it.
     assert GlobalHydra not in Singleton._instances
     (tmp_path / "app.yaml").write_text("x: 1\n")
     with initialize_config_dir(str(tmp_path), version_base="1.2"):
@@ -191,6 +192,7 @@ def test_hydra_1_4_is_not_asked_for_a_version(monkeypatch: pytest.MonkeyPatch) -
     def deprecated(base: str) -> None:
         raise AssertionError(base)
 
+    # What Hydra 1.4 answers, with whichever version is installed.
     monkeypatch.setattr("hydra.version.getbase", lambda: "1.4")
     monkeypatch.setattr("hydra.version.setbase", deprecated)
     assert "reach" in list_options("task")

@@ -121,6 +121,7 @@ def reading(monkeypatch):
         # Counts calls, which nothing else tells but the time.
         monkeypatch.setattr(module, "compile_scene", counted("scenes", module.compile_scene))
     read = counted("files", articulation.read_robot)
+    # Counted like the calls above.
     monkeypatch.setattr(articulation, "read_robot", read)
     return counts
 

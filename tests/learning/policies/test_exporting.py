@@ -142,6 +142,7 @@ def test_a_file_that_acts_otherwise_is_not_kept(saved, tmp_path, monkeypatch):
     path, _, _ = saved(normalized=False)
     policy = load_policy(path)
     predict = policy.predict
+    # A right exporter writes no such file.
     monkeypatch.setattr(policy, "predict", lambda flat: predict(flat) + np.float32(1e-3))
     with pytest.raises(RuntimeError, match="differs from the model by"):
         export_policy(policy, make_env(), tmp_path / "p.pt", "torchscript")

@@ -97,6 +97,7 @@ def test_failed_save_leaves_the_old_file(model, run_dir, monkeypatch):
         stream.write(b"half")
         raise OSError(28, "No space left on device")
 
+    # A disk that is full, which a test cannot make.
     monkeypatch.setattr(model, "save", fail)
     with pytest.raises(OSError, match="No space left"):
         save_checkpoint(model, path, NOTE)

@@ -91,6 +91,7 @@ def test_dqn_says_what_would_fit():
 
 
 def test_a_missing_package_is_named(monkeypatch):
+    # As if the package were not installed.
     monkeypatch.setattr(importlib.util, "find_spec", lambda package: None)
     assert problems("tqc")["algo.name"].message == "tqc needs a package: pip install sb3-contrib"
 

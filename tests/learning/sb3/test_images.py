@@ -90,6 +90,7 @@ def test_entries_on_another_device_are_copied_once(env, monkeypatch):
         vec_env._packs = True
         copies.clear()
         with monkeypatch.context() as patch:
+            # Copies to the host show only in their time.
             patch.setattr(torch.Tensor, "numpy", counted)
             found = vec_env._on_host(obs, *others[:3])
         assert sum(map(bool, copies)) == 1

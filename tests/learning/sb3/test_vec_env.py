@@ -105,6 +105,7 @@ def test_vectors_on_another_device_are_copied_once(monkeypatch):
         action = np.full((3, 2), 0.1 * step, np.float32)
         wanted = envs[0].step(action)
         with monkeypatch.context() as patch:
+            # Copies to the host show only in their time.
             patch.setattr(torch.Tensor, "numpy", counted)
             found = envs[1].step(action)
         for a, b in zip(found[:3], wanted[:3], strict=True):

@@ -173,6 +173,7 @@ def no_transfers(monkeypatch):
     def refused(self, *args, **kwargs):
         raise Transfer("a tensor is read on the host")
 
+    # On the CPU such a read is no transfer, and would go unseen.
     for name in ("numpy", "cpu", "tolist", "__array__"):
         monkeypatch.setattr(torch.Tensor, name, refused)
     with NoTransfers():

@@ -52,6 +52,7 @@ def test_checkpoints_of_before_stay(tmp_path, monkeypatch):
             with torch.no_grad():
                 next(model.policy.parameters()).view(-1)[0] = float("inf")
 
+    # No setting makes a network infinite in a certain update.
     monkeypatch.setattr(PPO, "train", spoiled)
     keys = ("algo.n_steps=8", "algo.batch_size=16", "total_timesteps=256")
     resolved = resolve([*REACH, *keys, "checkpoint.every_steps=32"], "train")

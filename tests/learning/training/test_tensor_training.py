@@ -324,6 +324,7 @@ def test_missing_package_of_an_algorithm_is_named(monkeypatch, name):
     checked = check_types({"task": {}, "algo": {"name": name}})
     assert checked.problems == []
     assert TensorAlgorithm.of(checked.root.algo).name == name
+    # As if the package were not installed.
     monkeypatch.setattr(importlib.util, "find_spec", lambda package: None)
     with pytest.raises(ConfigError) as caught:
         TensorAlgorithm.of(checked.root.algo)

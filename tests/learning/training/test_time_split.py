@@ -8,6 +8,7 @@ from embodichain.learning.training.session import TimeSplit
 
 def test_every_second_belongs_to_one_part(monkeypatch):
     now = [100.0]
+    # A clock that the test moves: no bound depends on how busy the machine is.
     monkeypatch.setattr(session.time, "perf_counter", lambda: now[0])
     env = SimpleNamespace(base=SimpleNamespace(sim=SimpleNamespace(physics_seconds=7.0)))
     env.step_seconds = 8.0  # what was spent before learning belongs to nobody

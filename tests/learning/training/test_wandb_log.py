@@ -91,6 +91,7 @@ def test_without_a_login_online_is_one_clear_error(tmp_path):
 def test_a_missing_package_is_named_before_anything_runs(monkeypatch):
     resolved = resolve([*TINY, "wandb.mode=offline"], "train")
     find = importlib.util.find_spec
+    # As if the package were not installed.
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name, *a: None if name == "wandb" else find(name, *a)
     )

@@ -376,6 +376,7 @@ def test_a_missing_package_is_named(log, monkeypatch, tmp_path, format, module, 
             raise ImportError(name)
         return importing(name, *args)
 
+    # As if the package were not installed.
     monkeypatch.setattr(importlib, "import_module", refuse)
     said = rf"--format {format} needs {package}: pip install 'embodichain\[{extra}\]'"
     with pytest.raises(ConfigError, match=said):
@@ -392,6 +393,7 @@ def test_tables_need_no_further_packages(log, monkeypatch, tmp_path, format):
             raise ImportError(name)
         return importing(name, *args, **kwargs)
 
+    # As if none of the extras were installed.
     monkeypatch.setattr(builtins, "__import__", refuse)
     assert export(log, format, tmp_path / "out").stat().st_size
 

@@ -102,6 +102,7 @@ def test_a_term_that_describes_other_columns_is_refused(monkeypatch):
 
     env = make("reach", num_envs=1)
     term = env.unwrapped.action_manager.terms["arm"].instance
+    # No shipped term has this mistake.
     monkeypatch.setattr(term, "meaning", lambda: ActionMeaning(units=("rad", "rad")))
     with pytest.raises(ConfigError, match=r"actions\.arm\.func: says 2 of units for 6 columns"):
         action_columns(env.unwrapped)

@@ -249,6 +249,7 @@ def test_a_frame_without_pandas_says_what_to_install(record, monkeypatch):
             raise ImportError(name)
         return importing(name, *args, **kwargs)
 
+    # As if the extra were not installed.
     monkeypatch.setattr(builtins, "__import__", refuse)
     with pytest.raises(ConfigError, match=r"pip install 'embodichain\[pandas\]'"):
         data.frame()

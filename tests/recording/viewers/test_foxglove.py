@@ -238,6 +238,7 @@ def test_real_time_is_kept_while_anything_is_subscribed_to(monkeypatch):
     env.step_dt = 1000.0  # seconds: far more than a step takes
     env.add_observer(view := FoxgloveView(env, port=0, realtime=True))
     slept = []
+    # A step of 1000 s would be slept through.
     monkeypatch.setattr(time, "sleep", slept.append)
     env.reset()
     env.step()
@@ -425,6 +426,7 @@ def test_live_pictures_are_of_the_simulation():
 def test_pictures_are_drawn_only_for_their_subscribers(monkeypatch):
     opened = []
     renderer = pictures.OffscreenRenderer
+    # A renderer that nobody needs shows only in time and memory.
     monkeypatch.setattr(
         pictures, "OffscreenRenderer", lambda model: opened.append(model) or renderer(model)
     )

@@ -135,6 +135,7 @@ def test_the_window_pauses_at_the_space_bar(path, monkeypatch):
             self.is_running = False
 
     windows = []
+    # There is no display here: this window presses keys.
     monkeypatch.setattr(
         log_player, "NativeViewer", lambda *args: windows.append(Window(*args)) or windows[-1]
     )

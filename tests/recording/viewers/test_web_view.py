@@ -53,6 +53,7 @@ def test_terms_are_told_as_they_add_up_to_the_reward():
         # A browser's connection; facts are sent 20 times a second, or at once.
         with visit(view._page):
             assert until(lambda: view.watched)
+            # The next step is due at once, not by the clock.
             view._next_facts = 0.0
             _, reward, *_ = env.step(env.action_space.sample())
         facts = [f for f in told if f is not None][-1]

@@ -68,6 +68,7 @@ def test_closing_raises_what_no_step_raised(tmp_path, monkeypatch):
     env, log = recorded(tmp_path / "log.mcap")
     steps(env, 2)
     log.flush()
+    # A disk that is full, which a test cannot make.
     monkeypatch.setattr(os, "write", full)
     with pytest.raises(LogWriteError, match="could not be written"):
         log.close()
@@ -111,6 +112,7 @@ def test_what_cannot_be_packed_raises_at_once(tmp_path, monkeypatch):
     def refuse(spec):
         raise OSError(2, "No such file or directory", "wheel.stl")
 
+    # A mesh that vanishes between the build and the log.
     monkeypatch.setattr("embodichain.recording.format.attachments.scene_archive", refuse)
     with pytest.raises(OSError, match=r"wheel\.stl"):
         McapRecorder(tmp_path / "log.mcap", SmallEnv())
@@ -345,6 +347,7 @@ def test_ctrl_c_where_a_step_is_finished_leaves_the_number_of_steps_right(
 ):
     """An interrupt at each line that finishes a step; the log ends there, or goes on."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    # The clock must not end a block between two lines.
     monkeypatch.setattr(step_buffer, "MOST_SECONDS", 1e6)
     line = 0
     try:

@@ -17,6 +17,7 @@ def test_linux_lacks_nothing() -> None:
 
 
 def test_what_a_system_lacks_is_refused_with_what_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Windows, as far as one variable can tell it.
     monkeypatch.setattr(sys, "platform", "win32")
     with pytest.raises(ConfigError) as caught:
         platforms.need("viewer=web", "record=none", "SIGUSR2")  # a limit, but none that is refused
@@ -27,6 +28,7 @@ def test_what_a_system_lacks_is_refused_with_what_works(monkeypatch: pytest.Monk
 
 
 def test_macos_writes_logs_and_has_no_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
+    # macOS, as far as one variable can tell it.
     monkeypatch.setattr(sys, "platform", "darwin")
     platforms.need("record=mcap", "viewer=web", "collect")
     names = {limit.feature for limit in platforms.limits()}
@@ -58,6 +60,7 @@ except BlockingIOError:
 def test_a_lock_is_refused_where_there_is_none(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    # Windows, as far as one variable can tell it.
     monkeypatch.setattr(sys, "platform", "win32")
     with (tmp_path / "file").open("w") as stream, pytest.raises(ConfigError, match="on Windows"):
         platforms.lock(stream.fileno())

@@ -137,6 +137,7 @@ def test_no_file_is_replaced_and_nothing_is_left_of_one_that_failed(tmp_path):
 def test_only_an_mp4_needs_the_encoder(tmp_path, monkeypatch):
     assert isinstance(film := film_file(tmp_path / "film.mp4", SIZE, 10.0), VideoFile)
     film.discard()
+    # As if the extra were not installed.
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     need_encoder(".gif")
     with pytest.raises(ConfigError, match=r"imageio-ffmpeg.*embodichain\[video\]"):

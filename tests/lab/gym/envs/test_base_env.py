@@ -450,6 +450,7 @@ def test_cuda_says_that_it_is_not_there_yet(make_env):
 def test_no_display_means_headless_with_a_warning(make_env, monkeypatch, caplog):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    # macOS has a display without these variables.
     monkeypatch.setattr("sys.platform", "linux")
     env = make_env(sim_cfg=SimulationManagerCfg(headless=False, num_threads=1))
     assert env.cfg.sim_cfg.headless and not env.sim.is_window_open

@@ -253,6 +253,7 @@ def strokes(make: Maker, of: Aim, number: Symmetry = 2, symmetry: Turns = 1) -> 
 
 
 def test_a_step_may_have_some_parameters_of_those_that_turn_the_tool(monkeypatch):
+    # The register of steps would keep it for other tests.
     monkeypatch.setattr(reading, "STEPS", {"strokes": strokes})
     steps, problems = read_steps([{"strokes": {"of": "cube", "symmetry": 2}}])
     assert problems == []

@@ -62,6 +62,7 @@ class Quick:
 
 @pytest.fixture
 def run(env, monkeypatch):
+    # Time is that of the test's keys, not the clock's.
     monkeypatch.setattr(
         "embodichain.recording.viewers.operators.native_operator.time.sleep", lambda s: None
     )

@@ -33,6 +33,7 @@ def is_operated(page):
 
     A run only sees the commands, which are the same while nobody moves.
     """
+    # Nothing public tells it, see above.
     return page._controls.operated
 
 

@@ -117,6 +117,7 @@ def test_wrong_parameters(make, films, params, part) -> None:
 
 def test_without_the_encoder_the_extra_is_named(make, films, monkeypatch) -> None:
     find = importlib.util.find_spec
+    # As if the extra were not installed.
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda n, *a: None if n == "imageio_ffmpeg" else find(n, *a)
     )

@@ -165,6 +165,7 @@ def test_a_step_that_fails_is_not_told(env, monkeypatch):
         monkeypatch.setattr(env.reward_manager, "compute", compute)
         raise RuntimeError("no reward")
 
+    # A step that fails once, in its middle.
     monkeypatch.setattr(env.reward_manager, "compute", fails)
     with pytest.raises(RuntimeError, match="no reward"):
         env.step(zero)

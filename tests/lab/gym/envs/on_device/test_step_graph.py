@@ -48,6 +48,7 @@ def captured_at_once(monkeypatch):
 
 def captured(graph):
     """The CUDA graph; None while kernels are launched one by one, with the same results."""
+    # Results do not tell whether a step was captured, and nothing else reads it.
     return graph._graph
 
 
@@ -62,6 +63,7 @@ def made(task, *lines):
             env._graph = None
         graph = both[0]._graph = StepGraph(both[0])
         if DEVICE == "cpu":
+            # The CPU's engine captures nothing: it has to believe that it does.
             engine = graph._engine
             vars(engine)["capturing"] = lambda: contextlib.nullcontext(engine._mark(None))
         yield *both, graph

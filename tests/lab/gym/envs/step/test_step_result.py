@@ -125,6 +125,7 @@ def test_learners_step_without_info(make: Any, monkeypatch: pytest.MonkeyPatch) 
         scaled = np.clip(action / 7, -1, 1)
         expected = hooked.step(scaled)
         with monkeypatch.context() as patch:
+            # `info` is expensive: the learner's door must not ask for it.
             patch.setattr(StepResult, "info", None)
             found = learner.step(scaled)
         for array, array_of_hooked in zip(found[:3], expected[:3], strict=True):
@@ -158,6 +159,7 @@ def test_a_vector_has_entries_that_are_not_floating_point(make: Any) -> None:
     observed = learner.reset()
     obs = learner.env.reset(seed=0)[0]
     expected = torch.cat([obs["qpos"], obs["is_near"].float(), obs["distance"]], dim=1)
+    # SB3's door has no public way to flatten an observation that was not stepped to.
     np.testing.assert_array_equal(learner._observed(obs), expected, strict=True)
     assert observed.shape == (3, 8) and obs["is_near"].dtype == torch.bool
 

@@ -146,6 +146,7 @@ def test_without_coacd_one_line_says_what_to_install(tmp_path, monkeypatch):
     def missing(name):
         raise metadata.PackageNotFoundError(name)
 
+    # As if the extra were not installed.
     monkeypatch.setattr(metadata, "version", missing)
     with pytest.raises(MeshError, match=r"pip install 'embodichain\[decompose\]'$"):
         decompose(tmp_path / "m.ply")

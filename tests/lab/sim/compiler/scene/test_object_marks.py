@@ -181,6 +181,7 @@ def test_the_window_shows_marks_beside_the_model(monkeypatch):
             user_scn=scenes[-1],
         )
 
+    # There is no display here: this window notes what it is told to draw.
     monkeypatch.setattr("mujoco.viewer.launch_passive", open_window)
     monkeypatch.setenv("DISPLAY", ":0")
     sim = button(num_envs=2, halo=HaloCfg(radius=0.05), reached=PRESSED)

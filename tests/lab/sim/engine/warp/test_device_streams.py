@@ -178,6 +178,7 @@ def test_a_captured_draw_continues_from_a_loaded_state():
 def test_what_cannot_be_captured_is_refused(monkeypatch):
     device = DeviceStreams(3, N, DEVICE)
     device.uniform("a", (2,), constant([0, 0]), constant([1, 1]))
+    # As while a CUDA graph is captured, which needs a card.
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
     device.uniform("a", (2,), 0.0, 2.0)

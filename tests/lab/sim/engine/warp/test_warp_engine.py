@@ -221,6 +221,7 @@ def test_what_warp_lacks_is_listed():
 
 
 def test_without_the_extra(monkeypatch):
+    # As if the extra were not installed.
     monkeypatch.setattr(warp_support, "find_spec", lambda name: None)
     assert warp_support.why_missing("cpu") == (
         "MuJoCo Warp is not installed (warp, mujoco_warp): pip install 'embodichain[gpu]'"
