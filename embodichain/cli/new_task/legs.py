@@ -45,6 +45,8 @@ _SPREAD = 0.1
 
 With the feet below the hips a robot of four narrow legs falls over when it is pushed.
 """
+_LEAST_WIDTH = 0.5
+"""Distance of such feet from the middle as a share of the hips' height: some are spread more."""
 _BENDS = (0.7, -0.7)
 """Angles in rad of the thigh from which the search for a standing leg begins."""
 _MARGIN = 0.03
@@ -128,6 +130,7 @@ def stand(
     """
     bent: list[str] = []
     is_on_many = len(legs) > 2
+    middle = float(np.mean([foot_position(data, leg)[1] for leg in legs])) if legs else 0.0
     for leg in legs:
         hip = data.xanchor[model.joint(_first_pitch(model, data, leg)).id].copy()
         foot = foot_position(data, leg)
@@ -139,8 +142,9 @@ def stand(
         drop = leg.length * (_STANDING_ON_MANY if is_on_many else _STANDING)
         place = np.array([hip[0], foot[1], hip[2] - drop])
         if is_on_many and _rolls(model, data, leg):
-            middle = float(np.mean([foot_position(data, other)[1] for other in legs]))
-            place[1] += np.sign(foot[1] - middle) * drop * np.tan(_SPREAD)
+            aside = foot[1] - middle
+            width = max(abs(aside) + drop * np.tan(_SPREAD), _LEAST_WIDTH * drop)
+            place[1] = middle + np.sign(aside) * width
         if _bend(model, data, leg, place):
             bent.append(leg.foot)
             if is_on_many and yields:
@@ -155,7 +159,9 @@ def leg_gains(model: mujoco.MjModel, legs: Sequence[Leg]) -> tuple[float, float]
     """
     weight = 9.81 * float(model.body_subtreemass[0])
     length = float(np.mean([leg.length for leg in legs]))
-    stiffness = float(f"{weight / len(legs) * length / _SAG:.1g}")
+    stiffness = weight / len(legs) * length / _SAG
+    half_digit = 0.5 * 10.0 ** np.floor(np.log10(stiffness))
+    stiffness = float(half_digit * round(stiffness / half_digit))
     return stiffness, float(f"{stiffness / 40:.1g}")
 
 

@@ -165,6 +165,20 @@ def test_a_dog_of_motors_stands_on_drives(capsys: pytest.CaptureFixture[str]) ->
     assert "left_front_swing" not in task["symmetry"]["opposite"]
 
 
+def test_the_legs_of_a_narrow_robot_are_spread_more(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its feet are as far from the middle as half of the height of its hips, on both sides."""
+    narrow = MOTOR_DOG.replace('pos="0 0.08 0"', 'pos="0 0.02 0"')
+    narrow = narrow.replace('pos="0 -0.08 0"', 'pos="0 -0.02 0"')
+    Path("narrow.xml").write_text(narrow)
+    new(capsys, "mine", "--kind", "velocity", "--robot", "narrow.xml")
+    home = read("conf/embodiment/narrow.yaml")["robot"]["init_qpos"]
+    abduct, swing, bend = home[:3]
+    assert home == [abduct, swing, bend, -abduct, swing, bend] * 2
+    # A hip is 8 cm from the middle, its joint 6 cm, and 0.28 m high: atan(0.08 / 0.28) less
+    # atan(0.02 / 0.28).
+    assert abduct == pytest.approx(0.207, abs=0.02)
+
+
 @pytest.mark.parametrize(
     ("robot", "length"), [("dog.xml", 0.4), ("go1_description/urdf/go1.urdf", 0.426)]
 )
