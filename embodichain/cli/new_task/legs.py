@@ -155,13 +155,13 @@ def stand(
 def leg_gains(model: mujoco.MjModel, legs: Sequence[Leg]) -> tuple[float, float]:
     """Stiffness (N m/rad) and damping (N m s/rad) with which legs bear the robot's weight.
 
-    They are those of what robots are trained with: 25 and 0.5 for a Go2, 80 and 2 for an ANYmal.
+    They are near those with which robots are trained: 25 and 0.5 for a Go2, 80 and 2 for an ANYmal.
     """
     weight = 9.81 * float(model.body_subtreemass[0])
     length = float(np.mean([leg.length for leg in legs]))
     stiffness = weight / len(legs) * length / _SAG
-    half_digit = 0.5 * 10.0 ** np.floor(np.log10(stiffness))
-    stiffness = float(half_digit * round(stiffness / half_digit))
+    half_a_digit = 0.5 * 10.0 ** np.floor(np.log10(stiffness))
+    stiffness = float(half_a_digit * round(stiffness / half_a_digit))
     return stiffness, float(f"{stiffness / 40:.1g}")
 
 

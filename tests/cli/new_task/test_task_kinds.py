@@ -190,6 +190,7 @@ def test_a_quadruped_that_is_pushed_stands_on_soft_drives(
 
     new(capsys, "mine", "--kind", "velocity", "--robot", robot)
     env = embodichain.make("mine", 16, ["seed=1"])
+    assert env.robot is not None
     obs, _ = env.reset()
     hold = resolve_policy("hold")
     for step in range(100):
