@@ -33,6 +33,8 @@ _DENSITY = 2000.0
 """kg/m^3: 2 kg for a cube of 10 cm."""
 _WAY = 0.2
 """Distance from the cube to the disc, m."""
+_NEAR = 0.08
+"""Distance in metres of the cube's middle from that of the disc that counts as success."""
 _STEP = 0.02
 """The largest motion of the tool in a control step, m."""
 _ABOVE_FLOOR = 0.01
@@ -96,6 +98,8 @@ def _words(
     """The template's variables for a work area."""
     size = area.size
     cube = rounded(_CUBE * size)
+    near = rounded(_NEAR * size)
+    disc = round(near + 0.5 * cube, 3)
     x = round(area.x, 2)
     cube_y = round(-0.03 * size, 3)
     goal_y = round(cube_y + _WAY * size, 3)
@@ -111,7 +115,8 @@ def _words(
         "goal_place": list_of([x, goal_y, 0.001]),
         "cube_range": _box(0.03 * size, 0.02 * size),
         "goal_range": _box(0.05 * size, 0.05 * size),
-        "near": number(rounded(0.1 * size)),
+        "near": number(near),
+        "disc": number(disc),
         "rotation": "keep" if keeps else "free",
         "step": number(rounded(_STEP * size)),
         "step_z": number(rounded(0.25 * _STEP * size)),

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from embodichain.cli.new_task.guesses import Guess
-from embodichain.cli.new_task.legs import Leg, leg_gains
+from embodichain.cli.new_task.legs import FOOT_NAME, Leg, leg_gains
 from embodichain.cli.new_task.new_robot import JAW_NAME, RobotFile, read_robot_file
 from embodichain.cli.new_task.tool_point import (
     Gripping,
@@ -29,21 +29,27 @@ _FOOT_FRICTION = 1.0
 """Sliding friction of a robot that walks: MuJoCo's default, and that of published trainings."""
 _ARM_GAINS = (500.0, 50.0)
 """Stiffness and damping of an arm's drives, N m/rad and N m s/rad."""
+_WHEEL_DAMPING = 1.0
+"""Damping of the drive of a wheel, N m s/rad: its gain for errors of velocity."""
 
 
-def guess_embodiment(fpath: str) -> list[Guess]:
+def guess_embodiment(
+    fpath: str, feet: Sequence[str] = (), *, shall_walk: bool = False
+) -> list[Guess]:
     """Read a robot's file and guess what an embodiment says of it, in the order of its lines.
 
     Args:
         fpath: A URDF or MJCF, as `get_data_path` takes it.
+        feet: The links or geoms on which it stands, see `read_robot_file`.
+        shall_walk: Whether it is to walk, see there.
 
     Raises:
         ConfigError: If the file does not exist or cannot be read, or if no joint can move.
     """
-    robot = read_robot_file(fpath)
+    robot = read_robot_file(fpath, feet, shall_walk=shall_walk)
     guesses = [Guess("fpath", fpath, "as given")]
     if robot.is_floating:
-        guesses.append(Guess("fix_base", "false", "the file has a free joint, or feet"))
+        guesses.append(Guess("fix_base", "false", robot.why_floating))
         height = f"[0, 0, {robot.height:g}]"
         guesses.append(Guess("init_pos", height, "its lowest point is on the ground"))
     elif robot.height:
@@ -51,7 +57,13 @@ def guess_embodiment(fpath: str) -> list[Guess]:
         guesses.append(Guess("init_pos", height, "lower, a part would be in the ground"))
     home = ", ".join(f"{value:g}" for value in robot.home)
     guesses.append(Guess("init_qpos", f"[{home}]", robot.why_home))
-    guesses += _leg_guesses(robot) if robot.is_floating else _arm_guesses(robot)
+    if robot.wheels:
+        wheels = _listed(robot.wheels)
+        guesses.append(Guess("control_parts.wheels", wheels, "each turns a part about its middle"))
+    elif robot.is_floating:
+        guesses += _leg_guesses(robot)
+    else:
+        guesses += _arm_guesses(robot)
     guesses.append(Guess("names.base", robot.parsed.root_link_name, "the root link"))
     guesses.append(_drive_guess(robot))
     if robot.legs and robot.is_urdf:
@@ -246,8 +258,7 @@ def _leg_guesses(robot: RobotFile) -> Iterator[Guess]:
     if not legs:
         yield Guess("names.feet", "", "no two legs were found: name the feet")
         return
-    kind = "called feet" if legs[0].kind == "link" else "the lowest shapes of the legs"
-    yield Guess("names.feet", _listed([leg.foot for leg in legs]), kind)
+    yield Guess("names.feet", _listed([leg.foot for leg in legs]), _why_feet(legs))
     joints: dict[str, None] = {}
     for leg in legs:
         joints |= dict.fromkeys(name for name in leg.joints if name in robot.parsed.joint_names)
@@ -255,6 +266,15 @@ def _leg_guesses(robot: RobotFile) -> Iterator[Guess]:
     thighs = _thighs(robot, legs)
     if thighs:
         yield Guess("names.thighs", _listed(thighs), "links of legs, which should not hit anything")
+
+
+def _why_feet(legs: Sequence[Leg]) -> str:
+    """What feet were guessed from."""
+    if legs[0].kind == "geom":
+        return "the lowest shapes of the legs"
+    if all(FOOT_NAME.search(leg.foot) for leg in legs):
+        return "links that are called feet"
+    return "the last links of the legs: none is called a foot"
 
 
 def _thighs(robot: RobotFile, legs: Sequence[Leg]) -> list[str]:
@@ -276,13 +296,21 @@ def _drive_guess(robot: RobotFile) -> Guess:
     parsed = robot.parsed
     stiffness, damping = _ARM_GAINS
     why = "a URDF has no gains: tune them"
+    if not robot.is_urdf:
+        why = "the file has no actuators, and so no gains: tune them"
     if robot.legs:
         stiffness, damping = leg_gains(parsed.model, robot.legs)
-        why = "by the weight on its legs: the file has no gains: tune them"
+        why = f"by the weight on its legs; {why}"
+    if robot.wheels:
+        stiffness, damping = 0.0, _WHEEL_DAMPING
+        why = "wheels follow targets of velocity"
     if not parsed.own_actuators:
         effort = ", max_effort: file" if (parsed.qf_limits < 1e9).all() else ""
         armature = ", armature: 0.01" if robot.legs else ""
         value = f"{{stiffness: {stiffness:g}, damping: {damping:g}{effort}{armature}}}"
+        if robot.joints_without_effort:
+            why += f"; the file's efforts of 0 ({_some(robot.joints_without_effort)}) are taken as"
+            why += " no limit: max_effort gives one, in N m"
         return Guess("drive_pros", value, why)
     motors = _motors(robot)
     if not motors:
@@ -323,6 +351,14 @@ def _motors(robot: RobotFile) -> dict[str, float]:
             largest = gear * gain * float(abs(model.actuator_ctrlrange[actuator]).max())
         motors[name] = largest
     return motors
+
+
+def _some(names: Sequence[str]) -> str:
+    """A few names, and how many there are besides."""
+    shown = ", ".join(names[:3])
+    if len(names) <= 3:
+        return shown
+    return f"{shown} and {len(names) - 3} more"
 
 
 def _listed(names: Sequence[str]) -> str:
