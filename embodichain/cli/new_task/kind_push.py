@@ -128,10 +128,16 @@ def _words(
         "height": number(round(tool_height - 0.5 * cube, 3)),
     }
     down = "points down" if area.points_down else "cannot point down"
+    why_cube = "as in push_cube: this robot works in as large an area"
+    if size != 1:
+        why_cube = f"{size:g} times that of push_cube, and so is the area in which the robot works"
     guesses = [
-        Guess("cube", f"{cube:g} m", f"the work area is {size:g} of that of push_cube"),
+        Guess("cube", f"{cube:g} m", why_cube),
         Guess("place", f"x = {x:g} m", "the middle of what the tool reaches on the floor"),
-        Guess("tool", f"{100 * tool_height:.1f} cm high", f"its end is above the floor, it {down}"),
+        Guess(
+            "tool", f"{100 * tool_height:.1f} cm high", f"its end is above the floor, and it {down}"
+        ),
+        Guess("success", f"within {100 * near:g} cm", "so near, all of the cube is on the disc"),
     ]
     return words, guesses
 

@@ -23,6 +23,7 @@ __all__ = [
     "FOOT_NAME",
     "Leg",
     "find_legs",
+    "foot_origin",
     "foot_position",
     "leg_gains",
     "legs_aside",
@@ -142,11 +143,11 @@ def stand(
         if _stands(model, data, leg):
             continue
         hip = _hip_position(model, data, leg)
-        foot = _tip_position(data, leg)
+        foot = foot_position(data, leg)
         drop = leg.length * (_STANDING_ON_MANY if is_on_many else _STANDING)
         place = np.array([hip[0], foot[1], hip[2] - drop])
         if is_on_many and _rolls(model, data, leg):
-            middle = float(np.mean([_tip_position(data, other)[1] for other in legs]))
+            middle = float(np.mean([foot_position(data, other)[1] for other in legs]))
             place[1] += np.sign(foot[1] - middle) * drop * np.tan(_SPREAD)
         if _bend(model, data, leg, place):
             bent.append(leg.foot)
@@ -158,14 +159,6 @@ def stand(
 def legs_aside(model: mujoco.MjModel, data: mujoco.MjData, legs: Sequence[Leg]) -> list[str]:
     """The feet that are not below their hips, or whose legs are stretched or folded."""
     return [leg.foot for leg in legs if not _stands(model, data, leg)]
-
-
-def _stands(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
-    """Whether a foot is below its hip, with the leg neither stretched nor folded."""
-    way = _tip_position(data, leg) - _hip_position(model, data, leg)
-    share = float(np.linalg.norm(way)) / leg.length
-    is_aside = abs(float(way[0])) > _ASIDE * leg.length
-    return bool(way[2] < 0) and _FOLDED <= share <= _STRAIGHT and not is_aside
 
 
 def leg_gains(model: mujoco.MjModel, legs: Sequence[Leg]) -> tuple[float, float]:
@@ -193,16 +186,24 @@ def trot_phases(data: mujoco.MjData, legs: Sequence[Leg]) -> list[float]:
 
 
 def foot_position(data: mujoco.MjData, leg: Leg) -> F64:
-    """(3,) where the origin of a foot is, m."""
+    """(3,) where a foot touches the ground, m: its origin, or the end of a shank without a foot."""
+    element = data.geom(leg.foot) if leg.kind == "geom" else data.body(leg.foot)
+    tip: F64 = element.xpos + element.xmat.reshape(3, 3) @ np.array(leg.tip)
+    return tip
+
+
+def foot_origin(data: mujoco.MjData, leg: Leg) -> F64:
+    """(3,) where the origin of a foot is, m, which terms of a task measure."""
     element = data.geom(leg.foot) if leg.kind == "geom" else data.body(leg.foot)
     return element.xpos.copy()
 
 
-def _tip_position(data: mujoco.MjData, leg: Leg) -> F64:
-    """(3,) where a foot touches the ground, m."""
-    element = data.geom(leg.foot) if leg.kind == "geom" else data.body(leg.foot)
-    tip: F64 = element.xpos + element.xmat.reshape(3, 3) @ np.array(leg.tip)
-    return tip
+def _stands(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
+    """Whether a foot is below its hip, with the leg neither stretched nor folded."""
+    way = foot_position(data, leg) - _hip_position(model, data, leg)
+    share = float(np.linalg.norm(way)) / leg.length
+    is_aside = abs(float(way[0])) > _ASIDE * leg.length
+    return bool(way[2] < 0) and _FOLDED <= share <= _STRAIGHT and not is_aside
 
 
 def _hip_position(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> F64:
@@ -257,7 +258,7 @@ def _ends_of_chains(model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[
                 leg = Leg(foot=foot, kind="geom", body=name, joints=joints)
         leg = _with_length(model, data, leg)
         legs.append(leg)
-        heights.append(float(_tip_position(data, leg)[2]))
+        heights.append(float(foot_position(data, leg)[2]))
     lowest_height = min(heights, default=0.0)
     return [
         leg
@@ -286,7 +287,7 @@ def _with_length(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> Leg:
     points = [data.xanchor[model.joint(name).id] for name in leg.joints[first:]]
     way_to_ankle = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(points))
     leg = replace(leg, tip=_tip(model, data, leg, way_to_ankle))
-    length = way_to_ankle + float(np.linalg.norm(_tip_position(data, leg) - points[-1]))
+    length = way_to_ankle + float(np.linalg.norm(foot_position(data, leg) - points[-1]))
     return replace(leg, length=length)
 
 
@@ -315,7 +316,7 @@ def _raise(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, legs: Sequence[
     force = np.array([0.0, 0.0, 9.81 * float(model.body_subtreemass[0]) / len(legs)])
     jacobian = np.zeros((3, model.nv))
     mujoco.mj_comPos(model, data)
-    mujoco.mj_jac(model, data, jacobian, None, _tip_position(data, leg), model.body(leg.body).id)
+    mujoco.mj_jac(model, data, jacobian, None, foot_position(data, leg), model.body(leg.body).id)
     for name in leg.joints[leg.joints.index(_first_pitch(model, data, leg)) :]:
         joint = model.joint(name)
         torque = float(jacobian[:, int(joint.dofadr[0])] @ force)
@@ -349,12 +350,12 @@ def _bend(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, place: F64) -> b
             data.qpos[columns] = angles
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
-            error = place - _tip_position(data, leg)
+            error = place - foot_position(data, leg)
             if float(np.linalg.norm(error)) < _ARRIVED:
                 return True
             jacobian = np.zeros((3, model.nv))
             body = model.body(leg.body).id
-            mujoco.mj_jac(model, data, jacobian, None, _tip_position(data, leg), body)
+            mujoco.mj_jac(model, data, jacobian, None, foot_position(data, leg), body)
             part = jacobian[:, dofs]
             step = part.T @ np.linalg.solve(part @ part.T + 1e-4 * np.eye(3), error)
             angles = np.clip(angles + np.clip(step, -0.2, 0.2), low, high)

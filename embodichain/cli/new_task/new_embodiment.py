@@ -21,7 +21,7 @@ from embodichain.cli.new_task.tool_point import (
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["embodiment_text", "guess_embodiment"]
+__all__ = ["command_to_check", "embodiment_text", "guess_embodiment"]
 
 _FINGER = re.compile(r"finger|jaw|thumb|knuckle|claw", re.IGNORECASE)
 _LEFT = re.compile(r"left|(^|[_/])l([_/]|$)", re.IGNORECASE)
@@ -84,8 +84,7 @@ def _with_own_name(robot: RobotFile, guess: Guess) -> Guess:
 
 def embodiment_text(name: str, guesses: Sequence[Guess]) -> str:
     """Return the file of an embodiment, with what each line was guessed from beside it."""
-    lines = [f"# The embodiment {name}. Check what was guessed: embodichain show task=reach "]
-    lines[0] += f"embodiment={name}"
+    lines = [f"# The embodiment {name}. Check what was guessed: {command_to_check(name, guesses)}"]
     lines += ["robot:", "  uid: robot"]
     sections: dict[str, list[str]] = {}
     for guess in guesses:
@@ -106,6 +105,16 @@ def embodiment_text(name: str, guesses: Sequence[Guess]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def command_to_check(name: str, guesses: Sequence[Guess]) -> str:
+    """The command in which a new embodiment is seen at work, or where there is a task for it."""
+    keys = {guess.key for guess in guesses}
+    if "control_parts.legs" in keys:
+        return f"embodichain new task {name}_walk --kind velocity --embodiment {name}"
+    if "control_parts.wheels" in keys:
+        return "docs/robots.md#wheels has a task that drives wheels"
+    return f"embodichain show task=reach embodiment={name}"
+
+
 def _arm_guesses(robot: RobotFile) -> Iterator[Guess]:
     """Yield the guesses about an arm and its gripper."""
     parsed = robot.parsed
@@ -115,7 +124,9 @@ def _arm_guesses(robot: RobotFile) -> Iterator[Guess]:
     arm = [name for name in _joints_above(model, tool_body) if name in parsed.joint_names]
     if arm:
         yield Guess("control_parts.arm", _listed(arm), "the joints between root and tool")
-        yield Guess("control_parts.swivel", _listed(arm[:1]), "its first joint")
+        yield Guess(
+            "control_parts.swivel", _listed(arm[:1]), "the first joint of the arm, which turns it"
+        )
     fingers = _fingers(robot, arm)
     gripper = _Gripper.find(robot, arm, fingers) if len(fingers) == 2 else None
     gripping = gripper.gripping if gripper else None
@@ -124,16 +135,31 @@ def _arm_guesses(robot: RobotFile) -> Iterator[Guess]:
         why = "no two links move as fingers do: name the links that grip"
         yield Guess("names.left_finger", "", why)
         yield Guess("names.right_finger", "", why)
-        yield Guess("grippers", "", "{gripper: {open: ..., close: ...}} with a part `gripper`")
+        yield Guess(
+            "grippers",
+            "",
+            "write {gripper: {open: ..., close: ...}}, and the part control_parts.gripper",
+        )
         return
     left, right = fingers
-    yield Guess("names.left_finger", left, "a link beyond the arm that moves, or that it closes on")
-    yield Guess("names.right_finger", right, "the other one")
+    why_left, why_right = _why_fingers(model, left, right)
+    yield Guess("names.left_finger", left, why_left)
+    yield Guess("names.right_finger", right, why_right)
     if gripper is None:
         yield Guess("control_parts.gripper", "", "no joint moves the fingers: name those that do")
         return
     yield Guess("control_parts.gripper", _listed(gripper.joints), "joints that move the fingers")
     yield Guess("grippers.gripper", gripper.value, gripper.why)
+
+
+def _why_fingers(model: mujoco.MjModel, left: str, right: str) -> tuple[str, str]:
+    """What the left and the right finger were guessed from."""
+    for jaw, hand in ((left, right), (right, left)):
+        if int(model.body(hand).id) in _carriers(model, int(model.body(jaw).id)):
+            of_hand = "the link that carries the jaw, which closes on it"
+            of_jaw = "the jaw, a link that moves beyond the arm"
+            return (of_jaw, of_hand) if jaw == left else (of_hand, of_jaw)
+    return "one of two links that move beyond the arm, as fingers do", "the other of the two"
 
 
 def _tool_guesses(point: ToolPoint, arm: Sequence[str]) -> Iterator[Guess]:
@@ -183,14 +209,16 @@ class _Gripper:
             return None
         index = parsed.joint_names.index(moving[0])
         ends = [float(value) for value in parsed.qpos_limits[index]]
-        why = f"the limits of {moving[0]}: its fingers are farther apart where it opens"
+        why = f"the ends of the range of {moving[0]}: open is where the fingers are farther apart"
         actuator = ""
         commands = ends
         if parsed.own_actuators and not parsed.drives[index]:
             actuator, commands, ends = _tendon_ends(robot, moving, ends)
-            why = f"the ends of the actuator {actuator}: fingers are farther apart where it opens"
+            why = (
+                f"the ends of the actuator {actuator}: open is where the fingers are farther apart"
+            )
             if not actuator:
-                why = f"the limits of {moving[0]}; add the actuators that move it, their controls"
+                why = f"the ends of the range of {moving[0]}; name the actuators that move it, too"
         poses = [_pose_of(model, moving, end) for end in ends]
         widths = [_width(robot, pose, fingers) for pose in poses]
         opened, closed = (0, 1) if widths[0] > widths[1] else (1, 0)
@@ -265,7 +293,11 @@ def _leg_guesses(robot: RobotFile) -> Iterator[Guess]:
     yield Guess("control_parts.legs", _listed([*joints]), "the joints between root and feet")
     thighs = _thighs(robot, legs)
     if thighs:
-        yield Guess("names.thighs", _listed(thighs), "links of legs, which should not hit anything")
+        yield Guess(
+            "names.thighs",
+            _listed(thighs),
+            "the upper links of the legs, which should not hit anything",
+        )
 
 
 def _why_feet(legs: Sequence[Leg]) -> str:
@@ -314,7 +346,11 @@ def _drive_guess(robot: RobotFile) -> Guess:
         return Guess("drive_pros", value, why)
     motors = _motors(robot)
     if not motors:
-        return Guess("drive_pros", "{stiffness: file}", "the file has actuators")
+        return Guess(
+            "drive_pros",
+            "{stiffness: file}",
+            "its joints are moved by the position servos of the file",
+        )
     maps = {
         "stiffness": dict.fromkeys(motors, stiffness),
         "damping": dict.fromkeys(motors, damping),

@@ -218,22 +218,21 @@ def read_robot_file(fpath: str, feet: Sequence[str] = (), *, shall_walk: bool = 
     why_home = "the file's keyframe"
     legs: list[Leg] = []
     if parsed.keyframe is None:
-        why_home = "zero, or the middle of a range that does not include it"
+        why_home = "zero; the middle of its range where a joint cannot be at zero"
     wheels = find_wheels(parsed.model, data)
     if is_floating and not wheels:
         mujoco.mj_comPos(parsed.model, data)
         legs = _legs(parsed, data, feet)
-        bent: list[str] = []
         if parsed.keyframe is None:
             bent = stand(parsed.model, data, legs, yields=_yields(parsed))
-        if bent:
-            why_home = "legs bent until the feet are below the hips"
-            if len(legs) > 2:
+            if bent:
+                why_home = "legs bent until the feet are below the hips"
+            if bent and len(legs) > 2:
                 why_home += " under the weight, and spread a little"
-        aside = legs_aside(parsed.model, data, legs) if parsed.keyframe is None else []
-        if aside and not bent:
-            why_home += ": no pose with the feet below the hips was found for "
-            why_home += f"{', '.join(aside)}: give one in which it stands"
+            aside = legs_aside(parsed.model, data, [leg for leg in legs if leg.foot not in bent])
+            if aside:
+                why_home += f"; no such pose was found for {', '.join(aside)}: give one in which"
+                why_home += " it stands"
     elif parsed.keyframe is None and not wheels and not _unservoed_joints(parsed, active):
         before = data.qpos.copy()
         scales = _scales(parsed, active)

@@ -162,18 +162,19 @@ def _how_to_walk(kind: Kind, robot: EmbodiedRobot, missing: Sequence[str]) -> st
     name = robot.embodiment.name
     legs = _legs_of(robot)
     lacks = [_key_of(need) for need in missing]
-    what = f"the base of {name} is fixed"
+    what = f"the base of {name} is fixed (fix_base)"
     if robot.is_floating:
         what = f"{name} lacks {', '.join(lacks)}"
-    elif lacks:
-        what += f", and {', '.join(lacks)} are not there"
     message = f"{kind.name} needs a robot that walks, and {what}"
     if not legs:
-        message += ": no equal chains of joints begin at its trunk, as legs do. If it has legs, "
+        message += ": no equal chains of joints begin at its trunk, as legs do. "
+        if not robot.is_floating:
+            message += "An arm can reach, and perhaps push and pick. "
         if robot.embodiment.is_new:
-            return f"{message}--feet LINK,LINK names the links that touch the ground"
-        message += "names.feet are the links that touch the ground, control_parts.legs the joints "
-        return f"{message}that move them, and fix_base is false. {_where_to(robot)}"
+            return f"{message}If it has legs, --feet LINK,LINK names the links on which it stands"
+        message += "If it has legs, its embodiment has fix_base: false, names.feet (the links that "
+        message += "touch the ground) and control_parts.legs (the joints that move them). "
+        return message + _where_to(robot)
     lines = []
     if not robot.is_floating:
         lines.append("fix_base: false")
@@ -183,7 +184,7 @@ def _how_to_walk(kind: Kind, robot: EmbodiedRobot, missing: Sequence[str]) -> st
         joints = dict.fromkeys(joint for leg in legs for joint in leg.joints)
         listed = ", ".join(json.dumps(re.escape(joint)) for joint in joints)
         lines.append(f"control_parts: {{legs: [{listed}]}}")
-    message += f". {_where_to(robot)}, below `robot:`, by what looks like its legs:"
+    message += f". {_where_to(robot)}, below `robot:`; what looks like its legs would be"
     return "\n  ".join([message, *lines])
 
 
@@ -205,7 +206,7 @@ def _where_to(robot: EmbodiedRobot) -> str:
         return f"{message}, and repeat this command"
     if robot.embodiment.text:
         return f"Write them into {path}"
-    return f"{name} ships with embodichain: `embodichain list embodiments` has others"
+    return f"{name} ships with embodichain: take another of `embodichain list embodiments`"
 
 
 def _has(robot: EmbodiedRobot, need: str) -> bool:

@@ -198,7 +198,11 @@ def _write_embodiment(options: NewOptions) -> None:
     Raises:
         ConfigError: If there is no robot, the name is not allowed, or the file exists.
     """
-    from embodichain.cli.new_task.new_embodiment import embodiment_text, guess_embodiment
+    from embodichain.cli.new_task.new_embodiment import (
+        command_to_check,
+        embodiment_text,
+        guess_embodiment,
+    )
     from embodichain.config.composition.composed import list_options
 
     name = options.name
@@ -215,7 +219,7 @@ def _write_embodiment(options: NewOptions) -> None:
     _refuse_existing([path])  # before the robot's file is read
     guesses = guess_embodiment(options.robot, options.named_feet)
     _write({path: embodiment_text(name, guesses)})
-    command = f"embodichain validate task=reach embodiment={name}"
+    command = command_to_check(name, guesses).replace("embodichain show", "embodichain validate")
     if options.json:
         listed = [{"key": g.key, "value": g.value, "why": g.why} for g in guesses]
         print_json({"wrote": [path.as_posix()], "guessed": listed, "next": [command]})
@@ -390,7 +394,7 @@ def _report(
     if trial is not None:
         lines.append(f"its expert succeeds in {100 * trial.success:.0f} % of {EPISODES} episodes")
         if trial.failure:
-            lines.append(f"  one of the others: {trial.failure}")
+            lines.append(f"  an episode that failed: {trial.failure}")
     if step.why:
         lines.append(f"physics_dt {step.dt:g} s: {step.why}")
     lines += ["", "next:"]

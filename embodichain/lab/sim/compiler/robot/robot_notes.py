@@ -49,23 +49,37 @@ def implausible_size(path: Path, model: mujoco.MjModel, qpos: F64) -> list[str]:
     parts = np.flatnonzero(is_part)
     if not len(parts):
         return []
-    axes = data.geom_xmat[parts].reshape(-1, 3, 3)
-    half_size = np.abs(axes) @ model.geom_aabb[parts, 3:, None]
-    middle = data.geom_xpos[parts, :, None] + axes @ model.geom_aabb[parts, :3, None]
-    size = ((middle + half_size).max(axis=0) - (middle - half_size).min(axis=0))[:, 0]
+    boxes = np.array([_box_around(model, data, int(geom)) for geom in parts])
+    size = boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)
     largest = int(np.argmax(size))
     if size[largest] <= _LARGEST_ROBOT:
         return []
     dimension = "high" if largest == 2 else "long"
     text = f"{path}: the robot is {size[largest]:.3g} m {dimension}"
     is_mesh = model.geom_type[parts] == mujoco.mjtGeom.mjGEOM_MESH
-    is_large = half_size[:, :, 0].max(axis=1) > 0.25 * _LARGEST_ROBOT
+    is_large = np.ptp(boxes, axis=1).max(axis=1) > 0.5 * _LARGEST_ROBOT
     meshes = {model.mesh(model.geom_dataid[i]).name for i in parts[is_mesh & is_large]}
     if not meshes:
         return [f"{text}: are its lengths in millimetres? Those of a URDF or MJCF are in metres"]
     scale = 'scale="0.001 0.001 0.001"'
     names = listing(sorted(meshes))
     return [f"{text}: are its meshes in millimetres? Write {scale} into <mesh> of {names}"]
+
+
+def _box_around(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> F64:
+    """(2, 3) the lowest and the highest coordinates of a shape, m."""
+    axes = data.geom_xmat[geom].reshape(3, 3)
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        start = model.mesh_vertadr[mesh]
+        vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]] @ axes.T
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+    else:
+        middle, half_size = np.split(model.geom_aabb[geom], 2)
+        half = np.abs(axes) @ half_size
+        low, high = axes @ middle - half, axes @ middle + half
+    box: F64 = data.geom_xpos[geom] + np.array([low, high])
+    return box
 
 
 def fixed_free_joints(cfg: ArticulationCfg, file: ModelFile) -> list[str]:
