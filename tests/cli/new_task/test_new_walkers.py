@@ -80,12 +80,14 @@ def test_a_walker_from_cad_stands(capsys: pytest.CaptureFixture[str]) -> None:
     from embodichain.lab.gym.policies import resolve_policy
 
     new(capsys, "task", "mine", "--kind", "velocity", "--robot", "crab.urdf")
-    env = embodichain.make("mine", 4, ["seed=1"])
+    env = embodichain.make("mine", 16, ["seed=1"])
     obs, _ = env.reset()
     hold = resolve_policy("hold")
-    for _ in range(50):
+    for _ in range(20):
         obs, _, terminated, _, _ = env.step(hold(obs, env))
         assert not terminated.any()
+    height = float(env.robot.get_local_pose()[:, 2].median())
+    assert height == pytest.approx(0.7 * 0.39 + 0.02, abs=0.05)
     env.close()
 
 
@@ -166,8 +168,8 @@ def test_the_embodiment_of_a_cart_drives_its_wheels(capsys: pytest.CaptureFixtur
 
 
 def test_a_robot_in_millimetres_is_one_warning(capsys: pytest.CaptureFixture[str]) -> None:
-    faces = [[(0, 0, 0), (60, 0, 0), (0, 60, 0)], [(0, 0, 0), (0, 60, 0), (0, 0, 60)]]
-    faces += [[(0, 0, 0), (0, 0, 60), (60, 0, 0)], [(60, 0, 0), (0, 0, 60), (0, 60, 0)]]
+    faces = [[(0, 0, 0), (30, 0, 0), (0, 30, 0)], [(0, 0, 0), (0, 30, 0), (0, 0, 60)]]
+    faces += [[(0, 0, 0), (0, 0, 60), (30, 0, 0)], [(30, 0, 0), (0, 0, 60), (0, 30, 0)]]
     write_stl(Path("plate.stl"), faces)
     text = ARM.replace("<worldbody>", '<asset><mesh file="plate.stl"/></asset><worldbody>')
     text = text.replace('<geom type="cylinder" size="0.05 0.04"', '<geom type="mesh" mesh="plate"')
