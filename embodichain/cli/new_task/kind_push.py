@@ -137,7 +137,7 @@ def _words(
         Guess(
             "tool", f"{100 * tool_height:.1f} cm high", f"its end is above the floor, and it {down}"
         ),
-        Guess("success", f"within {100 * near:g} cm", "so near, all of the cube is on the disc"),
+        Guess("success", f"within {100 * near:g} cm", "middle to middle: the cube is on the disc"),
     ]
     return words, guesses
 

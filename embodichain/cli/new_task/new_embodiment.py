@@ -337,12 +337,12 @@ def _drive_guess(robot: RobotFile) -> Guess:
         stiffness, damping = 0.0, _WHEEL_DAMPING
         why = "wheels follow targets of velocity"
     if not parsed.own_actuators:
-        effort = ", max_effort: file" if (parsed.qf_limits < 1e9).all() else ""
+        effort = ", max_effort: file" if _knows_efforts(robot) else ""
         armature = ", armature: 0.01" if robot.legs else ""
         value = f"{{stiffness: {stiffness:g}, damping: {damping:g}{effort}{armature}}}"
         if robot.joints_without_effort:
             why += f"; the file's efforts of 0 ({_some(robot.joints_without_effort)}) are taken as"
-            why += " no limit: max_effort gives one, in N m"
+            why += " no limit: max_effort gives one, in N m or N"
         return Guess("drive_pros", value, why)
     motors = _motors(robot)
     if not motors:
@@ -387,6 +387,14 @@ def _motors(robot: RobotFile) -> dict[str, float]:
             largest = gear * gain * float(abs(model.actuator_ctrlrange[actuator]).max())
         motors[name] = largest
     return motors
+
+
+def _knows_efforts(robot: RobotFile) -> bool:
+    """Whether a file has limits of efforts, except where it says 0."""
+    limits = robot.parsed.qf_limits
+    named = zip(robot.parsed.joint_names, limits, strict=True)
+    unlimited = {name for name, limit in named if limit >= 1e9}
+    return len(unlimited) < len(limits) and unlimited <= {*robot.joints_without_effort}
 
 
 def _some(names: Sequence[str]) -> str:

@@ -62,6 +62,13 @@ def test_equal_chains_of_a_urdf_are_legs(capsys: pytest.CaptureFixture[str]) -> 
     assert "--kind velocity --embodiment mine" in Path("conf/embodiment/mine.yaml").read_text()
 
 
+def test_efforts_that_are_known_are_taken(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("crab.urdf").write_text(crab().replace('effort="0"', 'effort="30"', 11))
+    robot, why = embodiment_of(capsys, "crab.urdf")
+    assert robot["drive_pros"]["max_effort"] == "file"
+    assert "efforts of 0 (RH_j2) are taken as no limit" in why["drive_pros"]
+
+
 @pytest.mark.parametrize("end", ["tibia", "foot"])
 def test_the_end_of_a_shank_stands_below_its_hip(
     capsys: pytest.CaptureFixture[str], end: str
