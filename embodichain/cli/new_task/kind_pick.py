@@ -50,7 +50,7 @@ def draft_pick(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
     cube = rounded(float(np.clip(_SHARE_OF_GAP * gap, _SMALLEST_CUBE, _LARGEST_CUBE)))
     if not gap:
         cube = 0.03
-    why_cube = f"0.6 of the {100 * gap:.1f} cm between the open fingers, 5 cm at most"
+    why_cube = f"0.6 of the {100 * gap:.1f} cm between the open fingers, and 5 cm at most"
     if not gap:
         why_cube = "the gap between the fingers could not be measured"
     grasp_height = max(0.0, beyond + _ABOVE_FLOOR - 0.5 * cube)
@@ -101,6 +101,10 @@ def draft_pick(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
         guesses = [
             Guess("cube", f"{cube:g} m", why_cube),
             Guess("place", f"x = {x:g} m", "the middle of what the tool reaches pointing down"),
-            Guess("places", f"{2 * half[0]:g} x {2 * half[1]:g} m", "all of it in reach"),
+            Guess(
+                "places",
+                f"{2 * half[0]:g} x {2 * half[1]:g} m",
+                "the cube and its goal are drawn there, and the tool reaches all of it",
+            ),
         ]
         yield TaskDraft(words, [*guesses, *camera_guesses])

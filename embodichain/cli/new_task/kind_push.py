@@ -33,6 +33,8 @@ _DENSITY = 2000.0
 """kg/m^3: 2 kg for a cube of 10 cm."""
 _WAY = 0.2
 """Distance from the cube to the disc, m."""
+_NEAR = 0.08
+"""Distance in metres of the cube's middle from that of the disc that counts as success."""
 _STEP = 0.02
 """The largest motion of the tool in a control step, m."""
 _ABOVE_FLOOR = 0.01
@@ -96,6 +98,8 @@ def _words(
     """The template's variables for a work area."""
     size = area.size
     cube = rounded(_CUBE * size)
+    near = rounded(_NEAR * size)
+    disc = round(near + 0.5 * cube, 3)
     x = round(area.x, 2)
     cube_y = round(-0.03 * size, 3)
     goal_y = round(cube_y + _WAY * size, 3)
@@ -111,7 +115,8 @@ def _words(
         "goal_place": list_of([x, goal_y, 0.001]),
         "cube_range": _box(0.03 * size, 0.02 * size),
         "goal_range": _box(0.05 * size, 0.05 * size),
-        "near": number(rounded(0.1 * size)),
+        "near": number(near),
+        "disc": number(disc),
         "rotation": "keep" if keeps else "free",
         "step": number(rounded(_STEP * size)),
         "step_z": number(rounded(0.25 * _STEP * size)),
@@ -123,10 +128,16 @@ def _words(
         "height": number(round(tool_height - 0.5 * cube, 3)),
     }
     down = "points down" if area.points_down else "cannot point down"
+    why_cube = "as in push_cube: this robot works in as large an area"
+    if size != 1:
+        why_cube = f"{size:g} times that of push_cube, and so is the area in which the robot works"
     guesses = [
-        Guess("cube", f"{cube:g} m", f"the work area is {size:g} of that of push_cube"),
+        Guess("cube", f"{cube:g} m", why_cube),
         Guess("place", f"x = {x:g} m", "the middle of what the tool reaches on the floor"),
-        Guess("tool", f"{100 * tool_height:.1f} cm high", f"its end is above the floor, it {down}"),
+        Guess(
+            "tool", f"{100 * tool_height:.1f} cm high", f"its end is above the floor, and it {down}"
+        ),
+        Guess("success", f"within {100 * near:g} cm", "middle to middle: the cube is on the disc"),
     ]
     return words, guesses
 

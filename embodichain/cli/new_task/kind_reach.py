@@ -59,10 +59,16 @@ def draft_reach(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
         "range": f"[{list_of(0.0 - half)}, {list_of(half)}]",
         "near": number(near),
     }
+    why_scale = (
+        "an action of 1 turns a hinge by so many rad, and moves a slide by a quarter of its way"
+    )
+    why_near = f"half of the {radius:g} m by which a target is away, and 5 cm at most"
     guesses += [
-        Guess("actions.arm.scale", f"{_HINGE_SCALE:g}", "rad of each hinge, a quarter of a slide"),
-        Guess("target", f"within {radius:g} m", "all of it in reach of the action"),
-        Guess("success", f"{near:g} m", "half of that, 5 cm at most"),
+        Guess("actions.arm.scale", f"{_HINGE_SCALE:g}", why_scale),
+        Guess(
+            "target", f"within {radius:g} m of the tool", "the actions reach all of these places"
+        ),
+        Guess("success", f"within {near:g} m of the target", why_near),
     ]
     yield TaskDraft(words, guesses)
 

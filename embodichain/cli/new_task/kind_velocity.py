@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.cli.new_task.guesses import Guess
-from embodichain.cli.new_task.legs import Leg, foot_position, legs_with_feet, trot_phases
+from embodichain.cli.new_task.legs import (
+    Leg,
+    foot_origin,
+    foot_position,
+    legs_with_feet,
+    trot_phases,
+)
 from embodichain.cli.new_task.new_home import lowest_point
 from embodichain.cli.new_task.task_draft import (
     TaskDraft,
@@ -48,7 +54,7 @@ def draft_velocity(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
     joints = robot.joints_of("legs")
     model = robot.model
     data = robot.data
-    feet = np.array([foot_position(data, leg) for leg in legs])
+    feet = np.array([foot_origin(data, leg) for leg in legs])
     ground = lowest_point(model, data)
     height = float(data.body(robot.parsed.root_link_name).xpos[2]) - ground
     pace = float(np.sqrt(height / _GO2_HEIGHT))
@@ -63,7 +69,7 @@ def draft_velocity(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
     mirror = _mirror(robot, legs, joints)
     body = ["base", *(name for name in ("thighs",) if name in robot.names)]
     sensors, camera_guesses = camera_words(robot)
-    gait = "a trot: diagonal feet together" if len(legs) == 4 else "left and right in turn"
+    gait = "a trot: diagonal feet together" if len(legs) == 4 else "steps: left and right in turn"
     words = {
         "far": number(rounded(3.5 * height)),
         "aside": number(rounded(2.6 * height)),
@@ -88,9 +94,17 @@ def draft_velocity(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
         "symmetric": "true" if mirror else "false",
     }
     guesses = [
-        Guess("commands", f"{ahead:g} m/s", f"of a trunk {height:.2f} m above its feet"),
-        Guess("rewards.gait", f"{period:g} s", f"{gait}, by where they are"),
-        Guess("terminations.lying", f"{0.45 * height:.2g} m", "0.45 of the height of the trunk"),
+        Guess(
+            "commands",
+            f"{ahead:g} m/s",
+            f"the pace of a Go2 for a trunk {height:.2f} m above the ground",
+        ),
+        Guess("rewards.gait", f"{period:g} s", f"the period of {gait}"),
+        Guess(
+            "terminations.lying",
+            f"{0.45 * height:.2g} m",
+            "lower, the robot lies: 0.45 of the first height of its trunk",
+        ),
     ]
     if mirror:
         guesses.append(Guess("symmetry", "left and right", "each leg has a mirror image"))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+
+from embodichain.cli.new_task.tool_point import corners_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,8 +23,10 @@ __all__ = [
     "FOOT_NAME",
     "Leg",
     "find_legs",
+    "foot_origin",
     "foot_position",
     "leg_gains",
+    "legs_aside",
     "legs_with_feet",
     "stand",
     "trot_phases",
@@ -54,6 +58,10 @@ _MARGIN = 0.03
 _ITERATIONS = 100
 _ARRIVED = 5e-3
 """Distance in metres at which a foot is where it was sent."""
+_SHANK = 0.25
+"""Share of a leg from which its last link is a shank, whose end is the foot, and not a foot."""
+_PAD = 0.3
+"""Radius of a shape that is a foot of its own on a shank, as a share of the shank, at most."""
 _SAG = 0.7
 """Angle in rad by which a drive would yield to the weight on a horizontal leg."""
 
@@ -68,6 +76,7 @@ class Leg:
         body: Its body.
         joints: The hinges from the trunk to it.
         length: Distance in metres from its first pitching joint to the foot when stretched.
+        tip: Where the foot touches the ground, in its frame, m: the end of a shank without a foot.
     """
 
     foot: str
@@ -75,6 +84,7 @@ class Leg:
     body: str
     joints: tuple[str, ...] = field(default=())
     length: float = 0.0
+    tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def find_legs(model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[str]) -> list[Leg]:
@@ -110,7 +120,8 @@ def legs_with_feet(model: mujoco.MjModel, data: mujoco.MjData, feet: Sequence[st
         body = foot if foot in links else model.body(int(model.geom(foot).bodyid[0])).name
         kind: Literal["link", "geom"] = "link" if foot in links else "geom"
         joints = _hinges(model, model.body(body).id)
-        legs.append(_with_length(model, data, Leg(foot, kind, body, joints)))
+        leg = Leg(foot, kind, body, joints)
+        legs.append(_with_length(model, data, leg) if joints else leg)
     return legs
 
 
@@ -132,13 +143,10 @@ def stand(
     is_on_many = len(legs) > 2
     middle = float(np.mean([foot_position(data, leg)[1] for leg in legs])) if legs else 0.0
     for leg in legs:
-        hip = data.xanchor[model.joint(_first_pitch(model, data, leg)).id].copy()
-        foot = foot_position(data, leg)
-        way = foot - hip
-        share = float(np.linalg.norm(way)) / leg.length
-        is_aside = abs(float(way[0])) > _ASIDE * leg.length
-        if way[2] < 0 and _FOLDED <= share <= _STRAIGHT and not is_aside:
+        if _stands(model, data, leg):
             continue
+        hip = _hip_position(model, data, leg)
+        foot = foot_position(data, leg)
         drop = leg.length * (_STANDING_ON_MANY if is_on_many else _STANDING)
         place = np.array([hip[0], foot[1], hip[2] - drop])
         if is_on_many and _rolls(model, data, leg):
@@ -150,6 +158,11 @@ def stand(
             if is_on_many and yields:
                 _raise(model, data, leg, legs)
     return bent
+
+
+def legs_aside(model: mujoco.MjModel, data: mujoco.MjData, legs: Sequence[Leg]) -> list[str]:
+    """The feet that are not below their hips, or whose legs are stretched or folded."""
+    return [leg.foot for leg in legs if not _stands(model, data, leg)]
 
 
 def leg_gains(model: mujoco.MjModel, legs: Sequence[Leg]) -> tuple[float, float]:
@@ -179,9 +192,29 @@ def trot_phases(data: mujoco.MjData, legs: Sequence[Leg]) -> list[float]:
 
 
 def foot_position(data: mujoco.MjData, leg: Leg) -> F64:
-    """(3,) where the origin of a foot is, m."""
+    """(3,) where a foot touches the ground, m: its origin, or the end of a shank without a foot."""
+    element = data.geom(leg.foot) if leg.kind == "geom" else data.body(leg.foot)
+    tip: F64 = element.xpos + element.xmat.reshape(3, 3) @ np.array(leg.tip)
+    return tip
+
+
+def foot_origin(data: mujoco.MjData, leg: Leg) -> F64:
+    """(3,) where the origin of a foot is, m, which terms of a task measure."""
     element = data.geom(leg.foot) if leg.kind == "geom" else data.body(leg.foot)
     return element.xpos.copy()
+
+
+def _stands(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
+    """Whether a foot is below its hip, with the leg neither stretched nor folded."""
+    way = foot_position(data, leg) - _hip_position(model, data, leg)
+    share = float(np.linalg.norm(way)) / leg.length
+    is_aside = abs(float(way[0])) > _ASIDE * leg.length
+    return bool(way[2] < 0) and _FOLDED <= share <= _STRAIGHT and not is_aside
+
+
+def _hip_position(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> F64:
+    """(3,) the first joint that swings a leg forwards, m."""
+    return data.xanchor[model.joint(_first_pitch(model, data, leg)).id].copy()
 
 
 def _carrier(model: mujoco.MjModel, name: str, others: Sequence[str]) -> bool:
@@ -223,12 +256,15 @@ def _ends_of_chains(model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[
         geoms = [int(i) for i in np.flatnonzero(model.geom_bodyid == body)]
         lowest = min(geoms, key=lambda geom: data.geom_xpos[geom, 2], default=None)
         foot = model.geom(lowest).name if lowest is not None else ""
+        leg = Leg(foot=name, kind="link", body=name, joints=joints)
         if lowest is not None and foot and model.geom_type[lowest] != mujoco.mjtGeom.mjGEOM_MESH:
-            legs.append(Leg(foot=foot, kind="geom", body=name, joints=joints))
-            heights.append(float(data.geom_xpos[lowest, 2]))
-        else:
-            legs.append(Leg(foot=name, kind="link", body=name, joints=joints))
-            heights.append(float(data.xpos[body, 2]))
+            ankle = data.xanchor[model.joint(joints[-1]).id]
+            reach = float(np.linalg.norm(corners_of(model, data, [body]) - ankle, axis=1).max())
+            if model.geom_rbound[lowest] < _PAD * reach:
+                leg = Leg(foot=foot, kind="geom", body=name, joints=joints)
+        leg = _with_length(model, data, leg)
+        legs.append(leg)
+        heights.append(float(foot_position(data, leg)[2]))
     lowest_height = min(heights, default=0.0)
     return [
         leg
@@ -255,9 +291,27 @@ def _with_length(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> Leg:
     """A leg with its length: the way from joint to joint, from the first that pitches on."""
     first = leg.joints.index(_first_pitch(model, data, leg))
     points = [data.xanchor[model.joint(name).id] for name in leg.joints[first:]]
-    points.append(foot_position(data, leg))
-    length = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(points))
-    return Leg(leg.foot, leg.kind, leg.body, leg.joints, length)
+    way_to_ankle = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(points))
+    leg = replace(leg, tip=_tip(model, data, leg, way_to_ankle))
+    length = way_to_ankle + float(np.linalg.norm(foot_position(data, leg) - points[-1]))
+    return replace(leg, length=length)
+
+
+def _tip(
+    model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, way_to_ankle: float
+) -> tuple[float, float, float]:
+    """Where a foot touches the ground, in its frame: at its origin, unless it is a shank."""
+    body = int(model.body(leg.body).id)
+    if leg.kind == "geom" or not model.body_jntnum[body]:
+        return (0.0, 0.0, 0.0)
+    points = corners_of(model, data, [body])
+    way = points - data.xanchor[model.joint(leg.joints[-1]).id]
+    distances = np.linalg.norm(way, axis=1)
+    if float(distances.max()) < _SHANK * (way_to_ankle + float(distances.max())):
+        return (0.0, 0.0, 0.0)
+    end = points[distances >= 0.95 * distances.max()].mean(axis=0)
+    x, y, z = data.xmat[body].reshape(3, 3).T @ (end - data.xpos[body])
+    return (float(x), float(y), float(z))
 
 
 def _raise(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, legs: Sequence[Leg]) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from embodichain.cli.new_task.guesses import Guess
-from embodichain.cli.new_task.legs import Leg, leg_gains
+from embodichain.cli.new_task.legs import FOOT_NAME, Leg, leg_gains
 from embodichain.cli.new_task.new_robot import JAW_NAME, RobotFile, read_robot_file
 from embodichain.cli.new_task.tool_point import (
     Gripping,
@@ -21,7 +21,7 @@ from embodichain.cli.new_task.tool_point import (
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["embodiment_text", "guess_embodiment"]
+__all__ = ["command_to_check", "embodiment_text", "guess_embodiment"]
 
 _FINGER = re.compile(r"finger|jaw|thumb|knuckle|claw", re.IGNORECASE)
 _LEFT = re.compile(r"left|(^|[_/])l([_/]|$)", re.IGNORECASE)
@@ -29,21 +29,27 @@ _FOOT_FRICTION = 1.0
 """Sliding friction of a robot that walks: MuJoCo's default, and that of published trainings."""
 _ARM_GAINS = (500.0, 50.0)
 """Stiffness and damping of an arm's drives, N m/rad and N m s/rad."""
+_WHEEL_DAMPING = 1.0
+"""Damping of the drive of a wheel, N m s/rad: its gain for errors of velocity."""
 
 
-def guess_embodiment(fpath: str) -> list[Guess]:
+def guess_embodiment(
+    fpath: str, feet: Sequence[str] = (), *, shall_walk: bool = False
+) -> list[Guess]:
     """Read a robot's file and guess what an embodiment says of it, in the order of its lines.
 
     Args:
         fpath: A URDF or MJCF, as `get_data_path` takes it.
+        feet: The links or geoms on which it stands, see `read_robot_file`.
+        shall_walk: Whether it is to walk, see there.
 
     Raises:
         ConfigError: If the file does not exist or cannot be read, or if no joint can move.
     """
-    robot = read_robot_file(fpath)
+    robot = read_robot_file(fpath, feet, shall_walk=shall_walk)
     guesses = [Guess("fpath", fpath, "as given")]
     if robot.is_floating:
-        guesses.append(Guess("fix_base", "false", "the file has a free joint, or feet"))
+        guesses.append(Guess("fix_base", "false", robot.why_floating))
         height = f"[0, 0, {robot.height:g}]"
         guesses.append(Guess("init_pos", height, "its lowest point is on the ground"))
     elif robot.height:
@@ -51,7 +57,13 @@ def guess_embodiment(fpath: str) -> list[Guess]:
         guesses.append(Guess("init_pos", height, "lower, a part would be in the ground"))
     home = ", ".join(f"{value:g}" for value in robot.home)
     guesses.append(Guess("init_qpos", f"[{home}]", robot.why_home))
-    guesses += _leg_guesses(robot) if robot.is_floating else _arm_guesses(robot)
+    if robot.wheels:
+        wheels = _listed(robot.wheels)
+        guesses.append(Guess("control_parts.wheels", wheels, "each turns a part about its middle"))
+    elif robot.is_floating:
+        guesses += _leg_guesses(robot)
+    else:
+        guesses += _arm_guesses(robot)
     guesses.append(Guess("names.base", robot.parsed.root_link_name, "the root link"))
     guesses.append(_drive_guess(robot))
     if robot.legs and robot.is_urdf:
@@ -72,8 +84,7 @@ def _with_own_name(robot: RobotFile, guess: Guess) -> Guess:
 
 def embodiment_text(name: str, guesses: Sequence[Guess]) -> str:
     """Return the file of an embodiment, with what each line was guessed from beside it."""
-    lines = [f"# The embodiment {name}. Check what was guessed: embodichain show task=reach "]
-    lines[0] += f"embodiment={name}"
+    lines = [f"# The embodiment {name}. Check what was guessed: {command_to_check(name, guesses)}"]
     lines += ["robot:", "  uid: robot"]
     sections: dict[str, list[str]] = {}
     for guess in guesses:
@@ -94,6 +105,16 @@ def embodiment_text(name: str, guesses: Sequence[Guess]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def command_to_check(name: str, guesses: Sequence[Guess]) -> str:
+    """The command in which a new embodiment is seen at work, or where there is a task for it."""
+    keys = {guess.key for guess in guesses}
+    if "control_parts.legs" in keys:
+        return f"embodichain new task {name}_walk --kind velocity --embodiment {name}"
+    if "control_parts.wheels" in keys:
+        return "docs/robots.md#wheels has a task that drives wheels"
+    return f"embodichain show task=reach embodiment={name}"
+
+
 def _arm_guesses(robot: RobotFile) -> Iterator[Guess]:
     """Yield the guesses about an arm and its gripper."""
     parsed = robot.parsed
@@ -103,7 +124,9 @@ def _arm_guesses(robot: RobotFile) -> Iterator[Guess]:
     arm = [name for name in _joints_above(model, tool_body) if name in parsed.joint_names]
     if arm:
         yield Guess("control_parts.arm", _listed(arm), "the joints between root and tool")
-        yield Guess("control_parts.swivel", _listed(arm[:1]), "its first joint")
+        yield Guess(
+            "control_parts.swivel", _listed(arm[:1]), "the first joint of the arm, which turns it"
+        )
     fingers = _fingers(robot, arm)
     gripper = _Gripper.find(robot, arm, fingers) if len(fingers) == 2 else None
     gripping = gripper.gripping if gripper else None
@@ -112,16 +135,31 @@ def _arm_guesses(robot: RobotFile) -> Iterator[Guess]:
         why = "no two links move as fingers do: name the links that grip"
         yield Guess("names.left_finger", "", why)
         yield Guess("names.right_finger", "", why)
-        yield Guess("grippers", "", "{gripper: {open: ..., close: ...}} with a part `gripper`")
+        yield Guess(
+            "grippers",
+            "",
+            "write {gripper: {open: ..., close: ...}}, and the part control_parts.gripper",
+        )
         return
     left, right = fingers
-    yield Guess("names.left_finger", left, "a link beyond the arm that moves, or that it closes on")
-    yield Guess("names.right_finger", right, "the other one")
+    why_left, why_right = _why_fingers(model, left, right)
+    yield Guess("names.left_finger", left, why_left)
+    yield Guess("names.right_finger", right, why_right)
     if gripper is None:
         yield Guess("control_parts.gripper", "", "no joint moves the fingers: name those that do")
         return
     yield Guess("control_parts.gripper", _listed(gripper.joints), "joints that move the fingers")
     yield Guess("grippers.gripper", gripper.value, gripper.why)
+
+
+def _why_fingers(model: mujoco.MjModel, left: str, right: str) -> tuple[str, str]:
+    """What the left and the right finger were guessed from."""
+    for jaw, hand in ((left, right), (right, left)):
+        if int(model.body(hand).id) in _carriers(model, int(model.body(jaw).id)):
+            of_hand = "the link that carries the jaw, which closes on it"
+            of_jaw = "the jaw, a link that moves beyond the arm"
+            return (of_jaw, of_hand) if jaw == left else (of_hand, of_jaw)
+    return "one of two links that move beyond the arm, as fingers do", "the other of the two"
 
 
 def _tool_guesses(point: ToolPoint, arm: Sequence[str]) -> Iterator[Guess]:
@@ -171,14 +209,16 @@ class _Gripper:
             return None
         index = parsed.joint_names.index(moving[0])
         ends = [float(value) for value in parsed.qpos_limits[index]]
-        why = f"the limits of {moving[0]}: its fingers are farther apart where it opens"
+        why = f"the ends of the range of {moving[0]}: open is where the fingers are farther apart"
         actuator = ""
         commands = ends
         if parsed.own_actuators and not parsed.drives[index]:
             actuator, commands, ends = _tendon_ends(robot, moving, ends)
-            why = f"the ends of the actuator {actuator}: fingers are farther apart where it opens"
+            why = (
+                f"the ends of the actuator {actuator}: open is where the fingers are farther apart"
+            )
             if not actuator:
-                why = f"the limits of {moving[0]}; add the actuators that move it, their controls"
+                why = f"the ends of the range of {moving[0]}; name the actuators that move it, too"
         poses = [_pose_of(model, moving, end) for end in ends]
         widths = [_width(robot, pose, fingers) for pose in poses]
         opened, closed = (0, 1) if widths[0] > widths[1] else (1, 0)
@@ -246,15 +286,27 @@ def _leg_guesses(robot: RobotFile) -> Iterator[Guess]:
     if not legs:
         yield Guess("names.feet", "", "no two legs were found: name the feet")
         return
-    kind = "called feet" if legs[0].kind == "link" else "the lowest shapes of the legs"
-    yield Guess("names.feet", _listed([leg.foot for leg in legs]), kind)
+    yield Guess("names.feet", _listed([leg.foot for leg in legs]), _why_feet(legs))
     joints: dict[str, None] = {}
     for leg in legs:
         joints |= dict.fromkeys(name for name in leg.joints if name in robot.parsed.joint_names)
     yield Guess("control_parts.legs", _listed([*joints]), "the joints between root and feet")
     thighs = _thighs(robot, legs)
     if thighs:
-        yield Guess("names.thighs", _listed(thighs), "links of legs, which should not hit anything")
+        yield Guess(
+            "names.thighs",
+            _listed(thighs),
+            "the upper links of the legs, which should not hit anything",
+        )
+
+
+def _why_feet(legs: Sequence[Leg]) -> str:
+    """What feet were guessed from."""
+    if legs[0].kind == "geom":
+        return "the lowest shapes of the legs"
+    if all(FOOT_NAME.search(leg.foot) for leg in legs):
+        return "links that are called feet"
+    return "the last links of the legs: none is called a foot"
 
 
 def _thighs(robot: RobotFile, legs: Sequence[Leg]) -> list[str]:
@@ -276,17 +328,29 @@ def _drive_guess(robot: RobotFile) -> Guess:
     parsed = robot.parsed
     stiffness, damping = _ARM_GAINS
     why = "a URDF has no gains: tune them"
+    if not robot.is_urdf:
+        why = "the file has no actuators, and so no gains: tune them"
     if robot.legs:
         stiffness, damping = leg_gains(parsed.model, robot.legs)
-        why = "by the weight on its legs: the file has no gains: tune them"
+        why = f"by the weight on its legs; {why}"
+    if robot.wheels:
+        stiffness, damping = 0.0, _WHEEL_DAMPING
+        why = "wheels follow targets of velocity"
     if not parsed.own_actuators:
-        effort = ", max_effort: file" if (parsed.qf_limits < 1e9).all() else ""
+        effort = ", max_effort: file" if _knows_efforts(robot) else ""
         armature = ", armature: 0.01" if robot.legs else ""
         value = f"{{stiffness: {stiffness:g}, damping: {damping:g}{effort}{armature}}}"
+        if robot.joints_without_effort:
+            why += f"; the file's efforts of 0 ({_some(robot.joints_without_effort)}) are taken as"
+            why += " no limit: max_effort gives one, in N m or N"
         return Guess("drive_pros", value, why)
     motors = _motors(robot)
     if not motors:
-        return Guess("drive_pros", "{stiffness: file}", "the file has actuators")
+        return Guess(
+            "drive_pros",
+            "{stiffness: file}",
+            "its joints are moved by the position servos of the file",
+        )
     maps = {
         "stiffness": dict.fromkeys(motors, stiffness),
         "damping": dict.fromkeys(motors, damping),
@@ -323,6 +387,22 @@ def _motors(robot: RobotFile) -> dict[str, float]:
             largest = gear * gain * float(abs(model.actuator_ctrlrange[actuator]).max())
         motors[name] = largest
     return motors
+
+
+def _knows_efforts(robot: RobotFile) -> bool:
+    """Whether a file has limits of efforts, except where it says 0."""
+    limits = robot.parsed.qf_limits
+    named = zip(robot.parsed.joint_names, limits, strict=True)
+    unlimited = {name for name, limit in named if limit >= 1e9}
+    return len(unlimited) < len(limits) and unlimited <= {*robot.joints_without_effort}
+
+
+def _some(names: Sequence[str]) -> str:
+    """A few names, and how many there are besides."""
+    shown = ", ".join(names[:3])
+    if len(names) <= 3:
+        return shown
+    return f"{shown} and {len(names) - 3} more"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -10,10 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from embodichain.cli.new_task.legs import FOOT_NAME, Leg, find_legs, stand
+from embodichain.cli.new_task.legs import (
+    FOOT_NAME,
+    Leg,
+    find_legs,
+    legs_aside,
+    legs_with_feet,
+    stand,
+)
+from embodichain.cli.new_task.limbs import find_limbs, find_wheels, only_wheels
 from embodichain.cli.new_task.new_home import bent_home, lowest_point
 from embodichain.cli.new_task.new_reach import ToolFrame, ToolReach
+from embodichain.cli.new_task.plausibility import warn_of_size
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
     import mujoco
@@ -154,7 +164,10 @@ class RobotFile:
         is_floating: Whether its base is not fixed to the world.
         is_urdf: Whether it is a URDF; else MJCF.
         legs: Those of a robot that walks.
+        wheels: The joints that turn wheels, if they are all that it has.
+        joints_without_effort: Joints whose effort limit in the URDF is 0: none is known.
         why_home: What the first pose was guessed from.
+        why_floating: What was guessed from that its base floats; empty if it is fixed.
     """
 
     parsed: ParsedArticulation
@@ -165,17 +178,24 @@ class RobotFile:
     is_floating: bool
     is_urdf: bool
     legs: tuple[Leg, ...] = ()
+    wheels: tuple[str, ...] = ()
+    joints_without_effort: tuple[str, ...] = ()
     why_home: str = ""
+    why_floating: str = ""
 
 
-def read_robot_file(fpath: str) -> RobotFile:
+def read_robot_file(fpath: str, feet: Sequence[str] = (), *, shall_walk: bool = False) -> RobotFile:
     """Read a robot's file, and guess its tool and its first pose.
 
     Args:
         fpath: A URDF or MJCF, as `get_data_path` takes it.
+        feet: The links or geoms on which it stands, of a robot that walks; without any they are
+            guessed.
+        shall_walk: Whether the robot is to walk, so that unequal chains may be legs too.
 
     Raises:
-        ConfigError: If the file does not exist or cannot be read, or if no joint can move.
+        ConfigError: If the file does not exist or cannot be read, if no joint can move, or if feet
+            are not in it.
     """
     import mujoco
     import numpy as np
@@ -185,27 +205,35 @@ def read_robot_file(fpath: str) -> RobotFile:
     file = read_model(locate(fpath))
     is_floating = bool((file.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any())
     parsed = _parse(fpath, is_floating)
-    feet = [name for name in parsed.link_names if FOOT_NAME.search(name)]
-    if len(feet) > 1 and not is_floating:  # a URDF does not say that its base moves
-        is_floating = True
-        parsed = _parse(fpath, is_floating)
     active = [i for i in range(len(parsed.joint_names)) if i not in parsed.mimic_ids]
     if not active:
         raise ConfigError(f"{parsed.path}: no joint moves: there is nothing to act on")
+    warn_of_size(parsed)
+    why_floating = _why_floating(parsed, is_floating, feet, shall_walk=shall_walk)
+    if why_floating and not is_floating:
+        is_floating = True
+        parsed = _parse(fpath, is_floating)
     data = _first_state(parsed, is_floating)
     tool = _find_tool(parsed)
     why_home = "the file's keyframe"
     legs: list[Leg] = []
     if parsed.keyframe is None:
-        why_home = "zero, or the middle of a range that does not include it"
-    if is_floating:
+        why_home = "zero; the middle of its range where a joint cannot be at zero"
+    wheels = find_wheels(parsed.model, data)
+    if is_floating and not wheels:
         mujoco.mj_comPos(parsed.model, data)
-        legs = find_legs(parsed.model, data, parsed.link_names)
-        if parsed.keyframe is None and stand(parsed.model, data, legs, yields=_yields(parsed)):
-            why_home = "legs bent until the feet are below the hips"
-            if len(legs) > 2:
+        legs = _legs(parsed, data, feet)
+        if parsed.keyframe is None:
+            bent = stand(parsed.model, data, legs, yields=_yields(parsed))
+            if bent:
+                why_home = "legs bent until the feet are below the hips"
+            if bent and len(legs) > 2:
                 why_home += " under the weight, and spread a little"
-    elif parsed.keyframe is None and not _unservoed_joints(parsed, active):
+            aside = legs_aside(parsed.model, data, [leg for leg in legs if leg.foot not in bent])
+            if aside:
+                why_home += f"; no such pose was found for {', '.join(aside)}: give one in which"
+                why_home += " it stands"
+    elif parsed.keyframe is None and not wheels and not _unservoed_joints(parsed, active):
         before = data.qpos.copy()
         scales = _scales(parsed, active)
         joints = list(scales)
@@ -223,8 +251,73 @@ def read_robot_file(fpath: str) -> RobotFile:
         is_floating=is_floating,
         is_urdf=file.is_urdf,
         legs=tuple(legs),
+        wheels=tuple(wheels),
+        joints_without_effort=tuple(
+            name for name in parsed.joint_names if name in file.limits.zero_effort
+        ),
         why_home=why_home,
+        why_floating=why_floating,
     )
+
+
+def _why_floating(
+    parsed: ParsedArticulation, has_free_joint: bool, feet: Sequence[str], *, shall_walk: bool
+) -> str:
+    """What says that a robot's base floats, which a URDF does not tell; empty if nothing does.
+
+    Raises:
+        ConfigError: If feet are not in the file, or no hinge moves them.
+    """
+    import mujoco
+
+    if feet:
+        _check_feet(parsed, feet)
+        return "--feet names what it stands on"
+    if has_free_joint:
+        return "the file has a free joint"
+    named = [name for name in parsed.link_names if FOOT_NAME.search(name)]
+    if len(named) > 1:
+        return "links are called feet"
+    data = _first_state(parsed, is_floating=False)
+    mujoco.mj_comPos(parsed.model, data)
+    limbs = find_limbs(parsed.model, data, parsed.root_link_name)
+    if limbs:
+        joints = len(limbs[0].joints)
+        root = parsed.root_link_name
+        return f"{len(limbs)} equal chains of {joints} joints begin at {root}, as legs do"
+    if find_wheels(parsed.model, data):
+        return "its joints turn wheels"
+    if shall_walk and len(find_legs(parsed.model, data, parsed.link_names)) > 1:
+        return "it is to walk, and chains of joints end below its trunk"
+    return ""
+
+
+def _check_feet(parsed: ParsedArticulation, feet: Sequence[str]) -> None:
+    """Refuse feet that are not in the file, or that do not move."""
+    existing_names = [*parsed.link_names, *parsed.geom_names]
+    for name in feet:
+        if name not in existing_names:
+            hint = did_you_mean(name, existing_names)
+            links = listing(parsed.link_names)
+            raise ConfigError(f"--feet: {parsed.path} has no link '{name}'{hint}; links: {links}")
+    still = [
+        leg.foot
+        for leg in legs_with_feet(parsed.model, _first_state(parsed, False), feet)
+        if not leg.joints
+    ]
+    if still:
+        raise ConfigError(f"--feet: no hinge moves {', '.join(still)}: a foot is the end of a leg")
+
+
+def _legs(parsed: ParsedArticulation, data: mujoco.MjData, feet: Sequence[str]) -> list[Leg]:
+    """The legs with these feet; without any, those that are called so or look like it."""
+    if feet:
+        return legs_with_feet(parsed.model, data, feet)
+    legs = find_legs(parsed.model, data, parsed.link_names)
+    limbs = find_limbs(parsed.model, data, parsed.root_link_name)
+    if len(legs) < 2 and limbs:
+        return legs_with_feet(parsed.model, data, [limb.end for limb in limbs])
+    return legs
 
 
 def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float | None]:
@@ -249,12 +342,16 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
     active = [i for i in range(len(parsed.joint_names)) if i not in parsed.mimic_ids]
     if not active:
         raise ConfigError(f"{parsed.path}: no joint moves: there is nothing to act on")
+    warn_of_size(parsed)
     unservoed_joints = _unservoed_joints(parsed, active)
     if python and unservoed_joints:
         message = "a Python task sets joint targets, and these joints have no position servo: "
         raise ConfigError(f"--python: {message}{', '.join(unservoed_joints)}; leave --python out")
 
     data = _first_state(parsed, is_floating)
+    wheels = find_wheels(parsed.model, data)
+    if wheels:
+        raise ConfigError(f"{parsed.path}: {only_wheels(wheels)}")
     tool = _find_tool(parsed)
     scales = _scales(parsed, active)
     reach_from_root = math.dist(tool.pos(data), data.body(parsed.root_link_name).xpos)

@@ -62,7 +62,7 @@ def try_expert(task: str, embodiment: NewEmbodiment) -> Trial:
                 successes += int((info["success"] & (terminated | truncated)).sum())
             if successes == EPISODES:
                 return Trial(1.0)
-            slow = "it was too slow, or the result was not within the bounds of success"
+            slow = "it ended before the result was within the bound of success"
             return Trial(successes / EPISODES, failure or slow)
     except ConfigError as error:
         return Trial(0.0, str(error.problems[0]) if error.problems else str(error))

@@ -23,6 +23,7 @@ import click
 from embodichain.cli.new_task.guesses import Guess
 from embodichain.cli.new_task.new_robot import UR10, describe_robot
 from embodichain.cli.new_task.new_time_step import TimeStep, time_step
+from embodichain.cli.new_task.plausibility import warn_of_size
 from embodichain.cli.new_task.task_trials import EPISODES, Trial
 from embodichain.cli.terminal.output import print_json
 from embodichain.cli.verb import verb
@@ -113,6 +114,7 @@ class NewOptions:
         robot: Path of the robot's URDF or MJCF.
         kind: The kind of the task; None writes reaching with the robot in the task's own file.
         embodiment: The robot's embodiment, instead of its file.
+        feet: The links on which a robot that walks stands, with commas between them.
         json: Print the result as one JSON object.
     """
 
@@ -122,7 +124,13 @@ class NewOptions:
     robot: str | None
     kind: str | None
     embodiment: str | None
+    feet: str | None
     json: bool
+
+    @property
+    def named_feet(self) -> list[str]:
+        """The links of `feet`."""
+        return [name.strip() for name in (self.feet or "").split(",") if name.strip()]
 
 
 @verb(
@@ -150,12 +158,18 @@ class NewOptions:
 @click.option("--robot", metavar="FILE", help="Its URDF or MJCF: embodichain list robots.")
 @click.option("--kind", type=click.Choice(KIND_NAMES), help="What is to be done.")
 @click.option("--embodiment", metavar="NAME", help="The robot: embodichain list embodiments.")
+@click.option("--feet", metavar="LINKS", help="Of a robot that walks: LF_shank,RF_shank,...")
 def command(options: NewOptions) -> None:
     """Write the files and print what to do next.
 
     Raises:
         ConfigError: If the name is not allowed, or a file exists; nothing is written.
     """
+    is_for_legs = options.what == "embodiment" or options.kind == "velocity"
+    if options.feet is not None and not (is_for_legs and options.robot):
+        raise ConfigError(
+            "--feet goes with --robot FILE, in `new embodiment` or `new task --kind velocity`"
+        )
     if options.what == "embodiment":
         _write_embodiment(options)
         return
@@ -184,7 +198,11 @@ def _write_embodiment(options: NewOptions) -> None:
     Raises:
         ConfigError: If there is no robot, the name is not allowed, or the file exists.
     """
-    from embodichain.cli.new_task.new_embodiment import embodiment_text, guess_embodiment
+    from embodichain.cli.new_task.new_embodiment import (
+        command_to_check,
+        embodiment_text,
+        guess_embodiment,
+    )
     from embodichain.config.composition.composed import list_options
 
     name = options.name
@@ -198,9 +216,10 @@ def _write_embodiment(options: NewOptions) -> None:
     path = _names(name, _read_pyproject()).conf / "embodiment" / f"{name}.yaml"
     if name in list_options("embodiment") and not path.exists():
         raise ConfigError(f"there is an embodiment '{name}' already: embodichain list embodiments")
-    guesses = guess_embodiment(options.robot)
+    _refuse_existing([path])  # before the robot's file is read
+    guesses = guess_embodiment(options.robot, options.named_feet)
     _write({path: embodiment_text(name, guesses)})
-    command = f"embodichain validate task=reach embodiment={name}"
+    command = command_to_check(name, guesses).replace("embodichain show", "embodichain validate")
     if options.json:
         listed = [{"key": g.key, "value": g.value, "why": g.why} for g in guesses]
         print_json({"wrote": [path.as_posix()], "guessed": listed, "next": [command]})
@@ -234,6 +253,8 @@ def _write_kind(options: NewOptions) -> None:
     choice = _embodiment_of(options, names, kind.name)
     embodiment = choice.embodiment
     robot = read_embodiment(embodiment)
+    if not embodiment.is_new:  # else it was said when the robot's file was read
+        warn_of_size(robot.parsed)
     task = write_kind(kind, robot)
     alias = robot.parsed.aliases.get("tool")
     words = {
@@ -308,10 +329,15 @@ def _embodiment_of(options: NewOptions, names: _Names, kind: str) -> _Embodiment
         if not path.exists():
             if name in existing:  # one that ships, with gains and names of its own
                 continue
-            guesses = guess_embodiment(options.robot)
+            guesses = guess_embodiment(
+                options.robot, options.named_feet, shall_walk=kind == "velocity"
+            )
             text = embodiment_text(name, guesses)
             return _EmbodimentChoice(NewEmbodiment(name, text, is_new=True), guesses)
         if os.path.normpath(_robot_file(path) or "") == os.path.normpath(options.robot):
+            if options.feet is not None:
+                message = f"--feet: {path.as_posix()} exists, and is not changed"
+                raise ConfigError(f"{message}: write names.feet and control_parts.legs there")
             why = f"{path.as_posix()}, which exists, has this file"
             text = path.read_text(encoding="utf-8")
             return _EmbodimentChoice(NewEmbodiment(name, text), [Guess("embodiment", name, why)])
@@ -368,7 +394,7 @@ def _report(
     if trial is not None:
         lines.append(f"its expert succeeds in {100 * trial.success:.0f} % of {EPISODES} episodes")
         if trial.failure:
-            lines.append(f"  one of the others: {trial.failure}")
+            lines.append(f"  an episode that failed: {trial.failure}")
     if step.why:
         lines.append(f"physics_dt {step.dt:g} s: {step.why}")
     lines += ["", "next:"]
@@ -564,8 +590,11 @@ def _next_commands(names: _Names) -> list[str]:
     """The commands to type next."""
     is_searched = names.conf == Path("conf") or names.package == "embodichain"
     config_dir = "" if is_searched else f" --config-dir {names.conf.as_posix()}"
+    commands = [f"embodichain validate{config_dir} task={names.task}"]
+    if importlib.util.find_spec("pytest") is None:
+        commands.append("pip install pytest")
     return [
-        f"embodichain validate{config_dir} task={names.task}",
+        *commands,
         f"python -m pytest {names.test.as_posix()}",
         f"embodichain run{config_dir} task={names.task}",
     ]

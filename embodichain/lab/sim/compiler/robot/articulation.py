@@ -83,6 +83,7 @@ from embodichain.lab.sim.compiler.robot.robot_links import (
 from embodichain.lab.sim.compiler.robot.robot_notes import (
     driven_mimics,
     fixed_free_joints,
+    implausible_size,
     overloaded_drives,
     starts_beyond_limits,
     without_effort,
@@ -324,6 +325,8 @@ def _compile(
     grippers = getattr(cfg, "grippers", {})
     problems += check_grippers(grippers, settings.parts, control_names(model))
     notes += starts_beyond_limits(file, joints, qpos)
+    if isinstance(cfg, RobotCfg):  # an articulation may be a building
+        notes += implausible_size(file.path, model, qpos)
 
     added_armature = np.zeros(len(names))
     rigidity = Rigidity.none(len(names))

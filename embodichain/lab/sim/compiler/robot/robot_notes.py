@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -16,14 +17,69 @@ from embodichain.lab.sim.compiler.robot.files.joint_couplings import JointCoupli
 from embodichain.lab.sim.compiler.robot.files.robot_files import ModelFile
 from embodichain.lab.sim.compiler.robot.files.robot_joints import FileJoints, movable_joints
 from embodichain.utils.math import quat_conjugate, quat_rotate
+from embodichain.utils.suggest import listing
 
 __all__ = [
     "driven_mimics",
     "fixed_free_joints",
+    "implausible_size",
     "overloaded_drives",
     "starts_beyond_limits",
     "without_effort",
 ]
+
+_LARGEST_ROBOT = 10.0
+"""Metres: what is larger was most probably drawn in millimetres."""
+
+
+def implausible_size(path: Path, model: mujoco.MjModel, qpos: F64) -> list[str]:
+    """Return a message about a robot that is too large to be meant so.
+
+    Args:
+        path: Its file.
+        model: The robot.
+        qpos: (D,) its initial positions.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[model.jnt_qposadr[movable_joints(model)]] = qpos
+    mujoco.mj_kinematics(model, data)
+    unbounded = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+    # What is on the world itself is a room around the robot.
+    is_part = ~np.isin(model.geom_type, unbounded) & (model.geom_bodyid > 0)
+    parts = np.flatnonzero(is_part)
+    if not len(parts):
+        return []
+    boxes = np.array([_box_around(model, data, int(geom)) for geom in parts])
+    size = boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)
+    largest = int(np.argmax(size))
+    if size[largest] <= _LARGEST_ROBOT:
+        return []
+    dimension = "high" if largest == 2 else "long"
+    text = f"{path}: the robot is {size[largest]:.3g} m {dimension}"
+    is_mesh = model.geom_type[parts] == mujoco.mjtGeom.mjGEOM_MESH
+    is_large = np.ptp(boxes, axis=1).max(axis=1) > 0.5 * _LARGEST_ROBOT
+    meshes = {model.mesh(model.geom_dataid[i]).name for i in parts[is_mesh & is_large]}
+    if not meshes:
+        return [f"{text}: are its lengths in millimetres? Those of a URDF or MJCF are in metres"]
+    scale = 'scale="0.001 0.001 0.001"'
+    names = listing(sorted(meshes))
+    return [f"{text}: are its meshes in millimetres? Write {scale} into <mesh> of {names}"]
+
+
+def _box_around(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> F64:
+    """(2, 3) the lowest and the highest coordinates of a shape, m."""
+    axes = data.geom_xmat[geom].reshape(3, 3)
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        start = model.mesh_vertadr[mesh]
+        vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]] @ axes.T
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+    else:
+        middle, half_size = np.split(model.geom_aabb[geom], 2)
+        half = np.abs(axes) @ half_size
+        low, high = axes @ middle - half, axes @ middle + half
+    box: F64 = data.geom_xpos[geom] + np.array([low, high])
+    return box
 
 
 def fixed_free_joints(cfg: ArticulationCfg, file: ModelFile) -> list[str]:

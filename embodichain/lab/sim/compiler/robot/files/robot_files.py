@@ -57,6 +57,10 @@ _ELEMENT = re.compile(r"\s*Element (?:name )?'(?P<name>[^']*)'(?:, id \d+)?")
 _XML_CODE = re.compile(
     r"XML parse error \d+:\s*Error=XML_ERROR_(?P<code>\w+) ErrorID=\d+ *(?:\(\w+\))?"
 )
+_SHAPE_SUFFIXES = frozenset(
+    [".stl", ".obj", ".dae", ".ply", ".glb", ".gltf", ".off", ".3mf", ".step", ".stp", ".iges"]
+)
+"""Of files with the shape of one part, from which a robot is made but which have no joints."""
 _PREFIXES = ("Error: ", "XML Error: ", "Schema violation: ")
 
 
@@ -133,6 +137,9 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
         ConfigError: If it is malformed; names the file and, where known, the line.
     """
     install_log_handler()
+    if path.suffix.lower() in _SHAPE_SUFFIXES:
+        message = f"{path} is a shape, not a robot: a robot is a URDF or MJCF file (.urdf, .xml)"
+        raise ConfigError(f"{message}, which names its shapes; `embodichain list robots` has some")
     try:
         source = path.read_bytes()
     except OSError as error:

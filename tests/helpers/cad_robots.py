@@ -1,0 +1,107 @@
+"""Robots as files from CAD have them, as text: no feet, no free joint, efforts of 0."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+_INERTIA = '<inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/>'
+
+
+def _link(name: str, mass: float, place: str, shape: str) -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{place}"/><mass value="{mass}"/>{_INERTIA}'
+        f'</inertial><collision><origin xyz="{place}"/><geometry>{shape}</geometry></collision>'
+        "</link>"
+    )
+
+
+def _joint(name: str, parent: str, child: str, place: str, axis: str, limits: str) -> str:
+    return (
+        f'<joint name="{name}" type="revolute"><origin xyz="{place}"/><parent link="{parent}"/>'
+        f'<child link="{child}"/><axis xyz="{axis}"/><limit {limits} effort="0" velocity="0"/>'
+        "</joint>"
+    )
+
+
+def crab(end: str = "tibia") -> str:
+    """Four legs of coxa, femur and a last link, whose frame is at the knee."""
+    text = _link("base_link", 6.2, "0 0 0", '<box size="0.4 0.2 0.1"/>')
+    for name, x, y in (("LF", 0.2, 1), ("RF", 0.2, -1), ("LH", -0.2, 1), ("RH", -0.2, -1)):
+        text += _link(f"{name}_coxa", 0.35, "0 0 0", '<sphere radius="0.03"/>')
+        text += _link(
+            f"{name}_femur", 0.3, "0 0 -0.095", '<cylinder radius="0.018" length="0.19"/>'
+        )
+        text += _link(f"{name}_{end}", 0.3, "0 0 -0.1", '<cylinder radius="0.018" length="0.2"/>')
+        coxa, femur = f"{name}_coxa", f"{name}_femur"
+        roll = 'lower="-0.8" upper="0.8"'
+        swing = 'lower="-1.2" upper="1.6"'
+        bend = 'lower="-2.5" upper="0"'
+        text += _joint(f"{name}_j0", "base_link", coxa, f"{x} {0.13 * y} 0", "1 0 0", roll)
+        text += _joint(f"{name}_j1", coxa, femur, f"0 {0.05 * y} 0", "0 1 0", swing)
+        text += _joint(f"{name}_j2", femur, f"{name}_{end}", "0 0 -0.19", "0 1 0", bend)
+    return f'<robot name="crab">{text}</robot>'
+
+
+def spider() -> str:
+    """Six legs that are stretched in a plane around a hub."""
+    text = _link("hub", 2.0, "0 0 0", '<cylinder radius="0.1" length="0.04"/>')
+    limits = 'lower="-1.5" upper="1.5"'
+    for k in range(6):
+        angle = math.radians(30 + 60 * k)
+        x, y = math.cos(angle), math.sin(angle)
+        for part, length in (("a", 0.05), ("b", 0.1), ("c", 0.15)):
+            half = f"{0.5 * length * x:.4f} {0.5 * length * y:.4f} 0"
+            text += _link(f"{part}{k}", 0.1, half, '<sphere radius="0.02"/>')
+        pitch = f"{-y:.4f} {x:.4f} 0"
+        text += _joint(f"ja{k}", "hub", f"a{k}", f"{0.1 * x:.4f} {0.1 * y:.4f} 0", "0 0 1", limits)
+        text += _joint(
+            f"jb{k}", f"a{k}", f"b{k}", f"{0.05 * x:.4f} {0.05 * y:.4f} 0", pitch, limits
+        )
+        text += _joint(f"jc{k}", f"b{k}", f"c{k}", f"{0.1 * x:.4f} {0.1 * y:.4f} 0", pitch, limits)
+    return f'<robot name="spider">{text}</robot>'
+
+
+def _chain(name: str, place: str, step: str, joints: int) -> str:
+    text = ""
+    for i in range(joints):
+        pos = place if i == 0 else step
+        text += f'<body name="{name}{i}" pos="{pos}"><joint name="{name}_j{i}" axis="0 1 0" '
+        text += f'range="-1.5 1.5"/><geom type="capsule" fromto="0 0 0 {step}" size="0.01"/>'
+    return text + "</body>" * joints
+
+
+def _mjcf(*bodies: str) -> str:
+    trunk = f'<body name="trunk"><geom type="box" size="0.1 0.1 0.05"/>{"".join(bodies)}</body>'
+    return f'<mujoco><compiler angle="radian"/><worldbody>{trunk}</worldbody></mujoco>'
+
+
+def hand() -> str:
+    """A palm with four equal fingers that point upwards, without names."""
+    places: Sequence[str] = [f"{0.04 * i - 0.06:.2f} 0 0.05" for i in range(4)]
+    return _mjcf(*(_chain("abcd"[i], place, "0 0 0.04", 3) for i, place in enumerate(places)))
+
+
+def two_arms() -> str:
+    """A torso on a column, beside which two equal arms hang: they end above its foot."""
+    column = '<geom type="cylinder" size="0.05 0.6" pos="0 0 -0.6"/>'
+    arms = [_chain(side, f"0 {y} 0.05", "0 0 -0.2", 4) for side, y in (("l", 0.2), ("r", -0.2))]
+    return _mjcf(column, *arms)
+
+
+CART = """<robot name="cart">
+<link name="chassis"><inertial><mass value="5"/>
+<inertia ixx=".05" ixy="0" ixz="0" iyy=".05" iyz="0" izz=".08"/></inertial>
+<collision><geometry><box size="0.4 0.3 0.1"/></geometry></collision></link>
+<link name="wheel_l"><inertial><mass value=".4"/>
+<inertia ixx=".001" ixy="0" ixz="0" iyy=".001" iyz="0" izz=".001"/></inertial>
+<collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+<link name="wheel_r"><inertial><mass value=".4"/>
+<inertia ixx=".001" ixy="0" ixz="0" iyy=".001" iyz="0" izz=".001"/></inertial>
+<collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+<joint name="jl" type="continuous"><parent link="chassis"/><child link="wheel_l"/>
+<origin xyz="0 0.2 0"/><axis xyz="0 1 0"/></joint>
+<joint name="jr" type="continuous"><parent link="chassis"/><child link="wheel_r"/>
+<origin xyz="0 -0.2 0"/><axis xyz="0 1 0"/></joint></robot>
+"""
+"""Two wheels, and nothing else."""
