@@ -25,6 +25,7 @@ from embodichain.config.checks.compiled_scene import compile_declared
 from embodichain.config.checks.embodiment_needs import check_embodiment
 from embodichain.config.checks.given_keys import check_given
 from embodichain.config.checks.idle_keys import idle_keys
+from embodichain.config.checks.plausibility import implausible_values
 from embodichain.config.checks.viewer_access import access_of
 from embodichain.config.composition.composed import Composed
 from embodichain.config.composition.locate import COMMAND_LINE, Locator
@@ -156,6 +157,7 @@ def check_tree(
     if types.root is not None:
         mistakes, notes = check_given(types.root, types.tree)
         problems += mistakes
+        notes += implausible_values(types.root, types.tree)
         scene = _read_scene(types.root, missing, allow_import)
         further = _check_meaning(types.root, verb, missing, allow_import, scene)
         if scene is not None and (problems or lost or further):

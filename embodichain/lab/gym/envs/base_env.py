@@ -1075,6 +1075,14 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
                 stack.callback(observer.on_close, self)
 
     @property
+    def not_finite_terms(self) -> dict[str, int]:
+        """Terms that were NaN or infinite although physics was finite -> in how many steps.
+
+        ``{"rewards.energy": 12}``; the environments in which a term was so ended as diverged.
+        """
+        return self._judge.not_finite_terms
+
+    @property
     def is_closed(self) -> bool:
         """Whether `close` was called: what needs the simulation then raises Gymnasium's error."""
         return self._closed
