@@ -29,6 +29,7 @@ from embodichain.config.keys.viewers import NO_VIEWER, VIEWERS
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils.errors import ConfigError, Problem, RenderError
+from embodichain.utils.notes import warn_once
 from embodichain.utils.system import platforms
 from embodichain.utils.system.platforms import LIMITED
 
@@ -500,7 +501,7 @@ def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool
     with log_to(folder / LOG_FILE) as log, job.stop as stop:
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
-            log.warning("%s", note)
+            warn_once(log, str(note))
         with resolved.locating():
             check_extras(job.root)
             value = work(job)

@@ -33,6 +33,7 @@ from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.sensors.base_sensor import BaseSensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.no_effect import changed_without_effect
+from embodichain.utils.notes import warn_once
 from embodichain.utils.system.memory import require_memory_for
 
 __all__ = ["Entity", "Scene"]
@@ -202,7 +203,7 @@ class Scene:
             if not self._checked:
                 notes += self._without_effect()
             for note in (*notes, *self.compiled.notes):
-                _log.warning("%s", note)
+                warn_once(_log, note)
         return self.compiled
 
     def _parts(self) -> SceneParts:
