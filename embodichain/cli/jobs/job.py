@@ -491,6 +491,7 @@ def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool
     """Run a job in its folder; see `execute`."""
     from embodichain.config.checks.viewer_access import without_token
     from embodichain.config.resolved import write_record
+    from embodichain.config.run_folder import marked_as_running
 
     resolved = job.resolved
     folder = job.folder
@@ -498,7 +499,7 @@ def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool
     command = without_token(replace_last(command))
     if not is_continued:
         write_record(folder, resolved, command)
-    with log_to(folder / LOG_FILE) as log, job.stop as stop:
+    with marked_as_running(folder), log_to(folder / LOG_FILE) as log, job.stop as stop:
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
             warn_once(log, str(note))
