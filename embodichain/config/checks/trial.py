@@ -105,8 +105,7 @@ def _divergence(env: BaseEnv, steps: int) -> list[Problem]:
     terms = env.not_finite_terms
     if terms:
         return [
-            Problem(f"task.{path}", f"not finite {when}; such steps do not count")
-            for path in terms
+            Problem(f"task.{path}", f"not finite {when}; such steps do not count") for path in terms
         ]
     fact = f"the physics diverges {when}"
     advice = (

@@ -293,9 +293,7 @@ def _row(episode: LogEpisode) -> dict[str, Any]:
     return {name: getattr(episode, name) for name in _COLUMNS}
 
 
-def _print_summary(
-    summary: LogSummary, episodes: list[LogEpisode], *, is_going: bool
-) -> None:
+def _print_summary(summary: LogSummary, episodes: list[LogEpisode], *, is_going: bool) -> None:
     """Print the facts of a log, its channels and the first of the listed episodes."""
     header = summary.header
     started = datetime.fromtimestamp(header.start_ns / 1e9)

@@ -1289,7 +1289,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             ConfigError: If there is none; lists the sensors.
         """
         if name not in self.sensors:
-            message = f"no sensor {name!r}; there are: {', '.join(self.sensors) or 'none'}"
+            message = f"no sensor {name!r}; there are: {', '.join(self.sensors) or 'none'}."
             raise ConfigError([Problem("", message, did_you_mean(name, self.sensors).strip())])
         return self.sensors[name]
 
