@@ -28,7 +28,14 @@ from embodichain.utils.notes import warn_once
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["ALLOW", "Change", "TaskDigest", "check_unchanged", "without_warnings_of_changes"]
+__all__ = [
+    "ALLOW",
+    "Change",
+    "TaskDigest",
+    "check_unchanged",
+    "name_other_columns",
+    "without_warnings_of_changes",
+]
 
 ALLOW = "allow_changed=true"
 """Override of the command line that accepts a changed task."""
@@ -252,6 +259,36 @@ def check_unchanged(
     for line in _lines([change for change in changes if change.part != VARIED]):
         _log.warning("%s: changed since %s: %s", name, made, line)
     return changes
+
+
+def name_other_columns(trained_in: TaskDigest | None, env: BaseEnv, group: str) -> str:
+    """Return which observations and actions a task has, and the one in training had not.
+
+    Args:
+        trained_in: The digest in the policy's file; None names nothing.
+        env: The environment that it was to act in.
+        group: The policy's observation group.
+
+    Returns:
+        ``observations only in training: to_goal (3); only here: to_cube (3)``; empty if the names
+        are the same.
+    """
+    if trained_in is None:
+        return ""
+    before = trained_in.parts.get("space", {})
+    now = TaskDigest.of(env, group).parts["space"]
+    texts: list[str] = []
+    for kind in ("observations", "actions"):
+        names_before = list(before.get(kind, ()))
+        names_now = list(now.get(kind, ()))
+        sides = {
+            "only in training": [name for name in names_before if name not in names_now],
+            "only here": [name for name in names_now if name not in names_before],
+        }
+        parts = [f"{side}: {', '.join(_shortened(names))}" for side, names in sides.items() if names]
+        if parts:
+            texts.append(f"{kind} {'; '.join(parts)}")
+    return "; ".join(texts)
 
 
 @contextmanager
