@@ -285,7 +285,9 @@ def name_other_columns(trained_in: TaskDigest | None, env: BaseEnv, group: str) 
             "only in training": [name for name in names_before if name not in names_now],
             "only here": [name for name in names_now if name not in names_before],
         }
-        parts = [f"{side}: {', '.join(_shortened(names))}" for side, names in sides.items() if names]
+        parts = [
+            f"{side}: {', '.join(_shortened(names))}" for side, names in sides.items() if names
+        ]
         if parts:
             texts.append(f"{kind} {'; '.join(parts)}")
     return "; ".join(texts)

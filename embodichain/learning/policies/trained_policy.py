@@ -68,7 +68,10 @@ class TrainedPolicy(ABC):
             if not names:
                 raise
             raise ConfigError(
-                [replace(problem, message=f"{problem.message} ({names})") for problem in error.problems]
+                [
+                    replace(problem, message=f"{problem.message} ({names})")
+                    for problem in error.problems
+                ]
             ) from error
         self.changed = check_unchanged(
             self.name, self.trained_in, env, self.group, allow=self.allow_changed

@@ -136,7 +136,11 @@ def _described(group: str) -> Rows:
 
     with config_loader() as loader:
         return [
-            {"name": name, "what": _description(source, f"{group}/{name}"), "from": origin_of(source)}
+            {
+                "name": name,
+                "what": _description(source, f"{group}/{name}"),
+                "from": origin_of(source),
+            }
             for name, source in _options(loader, group)
         ]
 
