@@ -581,8 +581,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             dict with ``elapsed_steps``, ``success``, ``success_terminated``, ``fail``,
             ``diverged``, ``rewards``, ``episode_sums``, ``metrics`` (all as before any reset) and
             the entries of `evaluate`. ``rewards`` has the value of each term in this step without
-            its weight, ``episode_sums`` the sum of value x weight over the episode. ``success`` is the metric of that name above 0, in a task
-            that has one, and else ``success_terminated``, the success that ends episodes.
+            its weight, ``episode_sums`` the sum of value x weight over the episode. ``success`` is
+            the metric of that name above 0, in a task that has one, and else
+            ``success_terminated``, the success that ends episodes.
             If an environment was reset in place, also ``final_obs`` (``final_observation``) and
             ``final_info``, valid in the rows where ``_final_obs`` and ``_final_info`` are True.
 
