@@ -24,6 +24,7 @@ from embodichain.cli.terminal.plain_text import degrading_text
 from embodichain.cli.verb import EXIT_CODES, VERBS, Verb
 from embodichain.cli.words import ADVICE_ELSEWHERE, NAMES_ELSEWHERE, ROOT_KEYS
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.notes import forget_shown
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["call", "load_verb", "main"]
@@ -162,6 +163,7 @@ def main(argv: list[str] | None = None) -> int:
         0 ok, 1 the run failed, 2 the input is wrong, 130 interrupted.
     """
     arguments = sys.argv[1:] if argv is None else list(argv)
+    forget_shown()
     with degrading_text():
         if _COMPLETE in os.environ:
             return shell_complete(_cli, {}, "embodichain", _COMPLETE, os.environ[_COMPLETE])

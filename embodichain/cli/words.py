@@ -5,7 +5,9 @@ from __future__ import annotations
 import itertools
 import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 from embodichain.utils.errors import ConfigError
 
@@ -14,7 +16,10 @@ __all__ = [
     "EVERYDAY_KEYS",
     "NAMES_ELSEWHERE",
     "ROOT_KEYS",
+    "STILL_GOING",
+    "is_still_written",
     "log_of",
+    "log_warnings",
     "pair",
     "split_overrides",
 ]
@@ -183,6 +188,35 @@ def pair(option: str, text: str, form: str) -> tuple[int, int]:
     if numbers is None:
         raise ConfigError(f"{option} is {form}, not {text!r}")
     return int(numbers[1]), int(numbers[2])
+
+
+STILL_GOING = "the run is still going"
+"""What is said of a log that is incomplete because it is being written."""
+
+
+class _Incomplete(Protocol):
+    """A log, or the summary of one."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def complete(self) -> bool: ...
+    @property
+    def warnings(self) -> Sequence[object]: ...
+
+
+def log_warnings(log: _Incomplete) -> Sequence[object]:
+    """Return the warnings about a log; one whose run lasts is not damaged, but not complete yet."""
+    if not log.complete and is_still_written(log.path):
+        return [f"{STILL_GOING}; this is what it has written so far"]
+    return log.warnings
+
+
+def is_still_written(log: Path) -> bool:
+    """Whether the run of a log lasts, so that the log is not complete yet."""
+    from embodichain.config.run_folder import is_running
+
+    return is_running(log.resolve().parent)
 
 
 def log_of(name: str) -> Path:

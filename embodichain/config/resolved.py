@@ -19,7 +19,7 @@ import yaml
 
 from embodichain.config.checks.check_result import Check
 from embodichain.config.checks.compiled_scene import compile_declared
-from embodichain.config.checks.validation import check_composed, check_tree
+from embodichain.config.checks.validation import check_composed, check_tree, source_of_values
 from embodichain.config.checks.viewer_access import access_of, take_token, without_token
 from embodichain.config.composition.composed import Composed, compose
 from embodichain.config.composition.environment import notes_of_today, taken_today
@@ -306,7 +306,7 @@ def check_config(composed: Composed, verb: JobVerb) -> Checked:
         check=check_composed(composed, verb),
         verb=verb,
         task_name=name,
-        source=composed.source,
+        source=source_of_values(composed, verb),
         overrides=composed.overrides,
         notes=composed.notes,
         ships=True,

@@ -11,13 +11,13 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
-from embodichain.utils.system.atomic import remove_abandoned, temporary_name
+from embodichain.utils.system.atomic import remove_abandoned, temporary_name, writers_of
 
 __all__ = [
     "CHECKPOINT",
@@ -32,7 +32,9 @@ __all__ = [
     "checkpoint_of",
     "claim",
     "find_run",
+    "is_running",
     "latest_of",
+    "marked_as_running",
     "missing_folders",
     "named_checkpoint",
     "newest_run",
@@ -57,6 +59,8 @@ SWEEP = "multirun.yaml"
 STUDY = "study.json"
 """A file in the folder of a study, which contains those of its jobs."""
 LATEST = "latest"
+_RUNNING = "running"
+"""Name of the temporary file that a folder has while its run lasts."""
 _USED = (
     "{} contains a run already, and a folder is used for one run only. To repeat a command until "
     "it is finished, make it a sweep of one job: -m hydra.sweep.dir=FOLDER"
@@ -172,6 +176,27 @@ def abandon(
             link.symlink_to(latest, target_is_directory=True)
     shutil.rmtree(folder)
     _remove_empty((folder.parent, *made))
+
+
+@contextlib.contextmanager
+def marked_as_running(folder: Path) -> Iterator[None]:
+    """Have a file in a run's folder that says that this process runs it.
+
+    The file of a process that was killed is removed by `remove_abandoned`.
+    """
+    mark = folder / temporary_name(_RUNNING)
+    with contextlib.suppress(OSError):  # the run itself says what is wrong with its folder
+        mark.touch()
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            mark.unlink(missing_ok=True)
+
+
+def is_running(folder: str | Path) -> bool:
+    """Whether a process of this machine runs what is in a run's folder."""
+    return any(process.is_running for process in writers_of(Path(folder), _RUNNING))
 
 
 def take_back(folder: Path, before: Collection[str], made: Sequence[Path]) -> None:

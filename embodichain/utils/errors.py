@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,7 +19,11 @@ __all__ = [
     "OutsideError",
     "Problem",
     "RenderError",
+    "merged",
 ]
+
+
+_LINE = re.compile(r":\d+$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +75,33 @@ class Problem:
         return f"{': '.join(parts)} {self.hint}".rstrip()
 
 
+def merged(problems: Iterable[Problem]) -> list[Problem]:
+    """Return problems with one for each place of a file: keys share a line through an anchor.
+
+    Args:
+        problems: Located problems; those of the same line with the same text become one, which
+            names the other keys.
+    """
+    firsts: dict[object, Problem] = {}
+    further_paths: dict[object, list[str]] = {}
+    for number, problem in enumerate(problems):
+        has_line = _LINE.search(problem.source) is not None
+        place: object = (problem.source, problem.message, problem.hint) if has_line else number
+        if place not in firsts:
+            firsts[place] = problem
+        elif problem.path not in (firsts[place].path, *further_paths.get(place, ())):
+            further_paths.setdefault(place, []).append(problem.path)
+    result: list[Problem] = []
+    for place, problem in firsts.items():
+        if place in further_paths:
+            paths = further_paths[place]
+            verb = "reads" if len(paths) == 1 else "read"
+            others = f"({', '.join(paths)} {verb} the same line)"
+            problem = replace(problem, hint=f"{problem.hint} {others}".strip())
+        result.append(problem)
+    return result
+
+
 class EmbodichainError(Exception):
     """Base of all errors that this package raises deliberately."""
 
@@ -85,7 +117,7 @@ class ConfigError(EmbodichainError, ValueError):
         if isinstance(problems, str):
             problems = (Problem("", problems),)
         self.problems: tuple[Problem, ...] = tuple(problems)
-        super().__init__("\n".join(str(p) for p in self.problems))
+        super().__init__("\n".join(str(p) for p in merged(self.problems)))
 
 
 class DataNotFoundError(EmbodichainError, FileNotFoundError):

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from embodichain.utils.named import unknown_name
+
 if TYPE_CHECKING:
     from collections.abc import Collection
 
@@ -54,7 +56,10 @@ class TensorMapping(MutableMapping[Any, Any]):
     def __getitem__(self, key: Any) -> Any:
         """Return an entry, or a `TensorMapping` of rows."""
         if isinstance(key, str):
-            return self.entries[key]
+            try:
+                return self.entries[key]
+            except KeyError:
+                raise unknown_name("entry", key, self.entries) from None
         if isinstance(key, tuple) and key and isinstance(key[0], str):
             entry: Any = self
             for name in key:

@@ -19,6 +19,7 @@ from stable_baselines3.common.preprocessing import is_image_space
 
 import embodichain
 from embodichain.config import list_options
+from embodichain.config.checks.trial import try_zero_actions
 from embodichain.config.environments.factory import make_env
 from embodichain.config.resolved import Resolved, compile_scene_of, resolve
 from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -100,6 +101,13 @@ def test_task_file_says_what_it_is(task):
     text = (CONF / f"{task.name}.yaml").read_text(encoding="utf-8")
     assert len(declared(task.name)["description"]) > 20
     assert text.startswith("#")
+
+
+def test_nothing_in_a_task_looks_wrong(task):
+    assert [str(note) for note in task.resolved.notes] == []
+    env = task.make(2, 1)
+    assert try_zero_actions(env) == []
+    env.close()
 
 
 @WITH_SUCCESS

@@ -29,6 +29,7 @@ from embodichain.config.keys.viewers import NO_VIEWER, VIEWERS
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils.errors import ConfigError, Problem, RenderError
+from embodichain.utils.notes import warn_once
 from embodichain.utils.system import platforms
 from embodichain.utils.system.platforms import LIMITED
 
@@ -490,6 +491,7 @@ def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool
     """Run a job in its folder; see `execute`."""
     from embodichain.config.checks.viewer_access import without_token
     from embodichain.config.resolved import write_record
+    from embodichain.config.run_folder import marked_as_running
 
     resolved = job.resolved
     folder = job.folder
@@ -497,10 +499,10 @@ def _execute(job: Job, work: Work, command: Sequence[str], *, is_continued: bool
     command = without_token(replace_last(command))
     if not is_continued:
         write_record(folder, resolved, command)
-    with log_to(folder / LOG_FILE) as log, job.stop as stop:
+    with marked_as_running(folder), log_to(folder / LOG_FILE) as log, job.stop as stop:
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
-            log.warning("%s", note)
+            warn_once(log, str(note))
         with resolved.locating():
             check_extras(job.root)
             value = work(job)

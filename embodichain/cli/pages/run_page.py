@@ -28,6 +28,7 @@ from embodichain.cli.pages.run_record import (
 )
 from embodichain.cli.results.summaries import result_rows
 from embodichain.cli.terminal.output import number
+from embodichain.cli.words import log_warnings
 from embodichain.config.composition.locate import display_path
 from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.env_text import recorded_texts, shown
@@ -131,7 +132,7 @@ def _log(record: RunRecord, notes: list[str]) -> LogSummary | None:
     except EmbodichainError as error:
         notes.append(f"the log cannot be read: {error}")
         return None
-    notes += [f"log: {warning}" for warning in summary.warnings]
+    notes += [f"log: {warning}" for warning in log_warnings(summary)]
     return summary
 
 

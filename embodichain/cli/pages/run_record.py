@@ -14,7 +14,15 @@ from typing import Any, Literal
 import yaml
 
 from embodichain.config.composition.locate import display_path
-from embodichain.config.run_folder import CHECKPOINT, CONFIG, LATEST, LOG, SHARDS, SUMMARY
+from embodichain.config.run_folder import (
+    CHECKPOINT,
+    CONFIG,
+    LATEST,
+    LOG,
+    SHARDS,
+    SUMMARY,
+    is_running,
+)
 from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError, EmbodichainError
 from embodichain.utils.system.atomic import remove_abandoned
@@ -43,7 +51,8 @@ class RunRecord:
     Attributes:
         folder: The run's folder.
         kind: What kind of run it was.
-        status: ``finished``, ``failed``, ``interrupted``, ...; ``unfinished`` without a result.
+        status: ``finished``, ``failed``, ``interrupted``, ...; without a result ``running`` or
+            ``unfinished``.
         task: Name of the task.
         begun: When it began.
         config: Its resolved config, with ``<env NAME>`` for text of the environment.
@@ -116,7 +125,10 @@ def read_record(folder: Path) -> RunRecord:
     words, working_dir = _typed(folder)
     outcome = summary or evaluation
     # The result of an evaluation has no status: it is written when it has finished.
-    status = str(outcome.get("status", "finished")) if outcome else "unfinished"
+    if outcome:
+        status = str(outcome.get("status", "finished"))
+    else:
+        status = "running" if is_running(folder) else "unfinished"
     return RunRecord(
         folder=folder,
         kind=_kind_of(folder, words, summary, evaluation),

@@ -263,6 +263,7 @@ class _ComparedActions(StepObserver):
 def _play(receipt: Receipt, report: ReceiptReport, policy: Path | None, *, trust: bool) -> None:
     """Play the policy again on the same starts, and compare actions and successes."""
     from embodichain.config.environments.factory import make_env
+    from embodichain.learning.checkpoints.task_digest import without_warnings_of_changes
     from embodichain.learning.evaluation.evaluation import evaluate
     from embodichain.recording.demos.reenactment import config_of
     from embodichain.recording.shards import joining
@@ -279,9 +280,11 @@ def _play(receipt: Receipt, report: ReceiptReport, policy: Path | None, *, trust
     try:
         env = make_env(resolved)
         try:
-            played_policy = policy_of(
-                resolved.root, env, name, deterministic=bool(content["deterministic"])
-            )
+            # What differs from the task in training was said, and written, by the evaluation.
+            with without_warnings_of_changes():
+                played_policy = policy_of(
+                    resolved.root, env, name, deterministic=bool(content["deterministic"])
+                )
             env.add_observer(compared)
             result = evaluate(
                 env, played_policy, int(content["episodes"]), seed=int(content["seed"])

@@ -68,6 +68,8 @@ def run_rows(summary: Mapping[str, Any]) -> Rows:
             rows.append(("for instance", detail))
     if summary["diverged"]:
         rows.append(("diverged", f"{summary['diverged']} episodes"))
+    for term, steps in summary.get("not_finite", {}).items():
+        rows.append((f"not finite: {term}", f"NaN or infinite in {steps:,} control steps"))
     rows += _present(summary, ("seed", "log", "video", "folder"))
     return rows
 

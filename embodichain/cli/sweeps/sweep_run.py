@@ -27,6 +27,7 @@ from embodichain.config.keys.launchers import LAUNCHERS
 from embodichain.config.keys.schema import JobVerb
 from embodichain.config.run_folder import CONFIG
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
+from embodichain.utils.notes import shared_by_jobs
 from embodichain.utils.system.processes import end_with, own_process
 
 __all__ = ["JobStates", "JobsOfVerb", "SweepError", "run_sweep"]
@@ -129,6 +130,7 @@ def run_sweep(
     stop = StopFlag()
     try:
         with ExitStack() as stack:
+            stack.enter_context(shared_by_jobs())
             if (plan.is_parallel or jobs_are_quiet) and not quiet:
                 stack.enter_context(show_progress(states.rows, plan.jobs))
             if plan.launcher == "joblib":

@@ -25,7 +25,7 @@ from types import FrameType
 from typing import Any
 
 from embodichain.utils.env_text import hidden
-from embodichain.utils.errors import ConfigError, Problem, RenderError
+from embodichain.utils.errors import ConfigError, Problem, RenderError, merged
 
 __all__ = [
     "FAILED",
@@ -350,10 +350,11 @@ def _message(error: BaseException, *, full: bool) -> str:
         if not full and not is_of_system:
             text += "\n(--traceback shows where it happened)"
         return text
-    if len(error.problems) < 2:
+    problems = merged(error.problems)
+    if len(problems) < 2:
         return f"error: {error}"
-    lines = [f"{len(error.problems)} mistakes:"]
-    for problem in error.problems:
+    lines = [f"{len(problems)} mistakes:"]
+    for problem in problems:
         paragraph = str(problem).replace("\n", "\n    ")  # lists of a mistake below it
         lines.append(f"  {paragraph}")
     return "\n".join(lines)

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 
 from embodichain.cli.terminal.output import console
 from embodichain.utils.env_text import hidden
+from embodichain.utils.notes import is_new
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -193,10 +194,11 @@ def _threads_report() -> Iterator[None]:
 
 @contextmanager
 def warnings_on_stderr() -> Iterator[None]:
-    """Show warnings of this package's loggers on stderr, a line each."""
+    """Show warnings of this package's loggers on stderr, a line each; notes once a command."""
     screen = logging.StreamHandler()
     screen.setLevel(logging.WARNING)
     screen.addFilter(_is_ours)
+    screen.addFilter(is_new)  # of what is ours: notes of others are not counted
     screen.setFormatter(_OneLine())
     logging.getLogger().addHandler(screen)
     try:

@@ -23,7 +23,7 @@ class Check:
         types: The config with the task's suggestions, as plain values and as data classes.
         scene: The scene that the task declares, with its files read; None if the part of the config
             with its entities has mistakes.
-        notes: Given keys that change nothing.
+        notes: Given keys that change nothing, and values that look as if in another unit.
     """
 
     problems: list[Problem]

@@ -25,6 +25,7 @@ from embodichain.config.checks.compiled_scene import compile_declared
 from embodichain.config.checks.embodiment_needs import check_embodiment
 from embodichain.config.checks.given_keys import check_given
 from embodichain.config.checks.idle_keys import idle_keys
+from embodichain.config.checks.plausibility import implausible_values
 from embodichain.config.checks.viewer_access import access_of
 from embodichain.config.composition.composed import Composed
 from embodichain.config.composition.locate import COMMAND_LINE, Locator
@@ -55,7 +56,14 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.scene_setup.declared_scene import DeclaredScene
 
-__all__ = ["check_composed", "check_training_keys", "check_tree", "named_maps", "validate"]
+__all__ = [
+    "check_composed",
+    "check_training_keys",
+    "check_tree",
+    "named_maps",
+    "source_of_values",
+    "validate",
+]
 
 Chosen = Callable[[str, str], bool]
 """``chosen(path, package)``: whether a key was set outside the group option at `package`."""
@@ -107,7 +115,7 @@ def _check_without_needs(composed: Composed, verb: JobVerb) -> Check:
     wrong_paths = [p.path for p in (*composed.problems, *unknown)]
     check = check_tree(
         composed.tree,
-        composed.source,
+        source_of_values(composed, verb),
         verb,
         chosen=locator.chosen,
         lost=[path for path in wrong_paths if path not in misread],
@@ -120,6 +128,39 @@ def _check_without_needs(composed: Composed, verb: JobVerb) -> Check:
     if check.types.root is not None:
         notes = (*notes, *idle_keys(check.types.root, locator.overrides, verb))
     return replace(check, problems=problems, notes=notes)
+
+
+def source_of_values(composed: Composed, verb: JobVerb) -> Callable[[str], str]:
+    """Return a function from a key path to where its value was written.
+
+    Of a value that the task suggests for a verb, that is a line of the task.
+    """
+    suggested = _suggested(composed.tree, verb)
+    algo = composed.tree.get("algo")
+    suggested_algo = suggested.get("algo")
+    is_for_algo = False
+    if isinstance(algo, Mapping) and isinstance(suggested_algo, Mapping):
+        is_for_algo = suggested_algo.get("name", algo.get("name")) == algo.get("name")
+
+    def source(path: str) -> str:
+        root_key, _, _ = path.partition(".")
+        if root_key == "algo":
+            is_suggested = is_for_algo and not composed.locator.chosen(path, "algo")
+        else:
+            is_suggested = root_key in SUGGESTED_KEYS and composed.tree.get(root_key) is None
+        if is_suggested and _has_path(suggested, path):
+            return composed.source(f"task.suggested.{verb}.{path}")
+        return composed.source(path)
+
+    return source
+
+
+def _has_path(tree: Mapping[str, Any], path: str) -> bool:
+    """Whether a tree has a value other than null at a key path."""
+    node: Any = tree
+    for part in path.split("."):
+        node = node.get(part) if isinstance(node, Mapping) else None
+    return node is not None
 
 
 def check_tree(
@@ -156,6 +197,7 @@ def check_tree(
     if types.root is not None:
         mistakes, notes = check_given(types.root, types.tree)
         problems += mistakes
+        notes += implausible_values(types.root, types.tree)
         scene = _read_scene(types.root, missing, allow_import)
         further = _check_meaning(types.root, verb, missing, allow_import, scene)
         if scene is not None and (problems or lost or further):

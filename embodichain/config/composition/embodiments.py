@@ -10,7 +10,12 @@ from typing import Any
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from embodichain.config.composition.hydra_loader import COMPOSING, config_loader, explain
+from embodichain.config.composition.hydra_loader import (
+    COMPOSING,
+    config_loader,
+    explain,
+    origin_of,
+)
 
 __all__ = ["EMBODIMENT", "Embodiment", "list_embodiments"]
 
@@ -52,7 +57,7 @@ def list_embodiments(config_dir: str | Path | None = None) -> list[Embodiment]:
         for name in loader.get_group_options(EMBODIMENT):
             path = f"{EMBODIMENT}/{name}"
             place = next(s for s in loader.get_sources() if s.is_config(path))
-            source = "embodichain" if place.provider == "main" else place.provider
+            source = origin_of(place)
             fault = ""
             tree: Any = {}
             try:

@@ -31,7 +31,7 @@ from hydra.core.override_parser.types import Override
 from hydra.core.plugins import Plugins
 from hydra.core.utils import setup_globals
 from hydra.errors import HydraException, MissingConfigException
-from hydra.plugins.config_source import ConfigResult
+from hydra.plugins.config_source import ConfigResult, ConfigSource
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 
@@ -283,6 +283,17 @@ def folder_of_source(scheme: str, path: str) -> Path | None:
     if scheme == "pkg" and not path.startswith("hydra"):
         return _folder_of(path)
     return None
+
+
+def origin_of(source: ConfigSource) -> str:
+    """Return where an option comes from, for tables: ``embodichain``, or a folder.
+
+    In a working copy of this package its folder may have files of the user, too.
+    """
+    if source.provider != "main":
+        return str(source.provider)
+    shown = display_path(own_folder())
+    return "embodichain" if Path(shown).is_absolute() else f"./{shown}"
 
 
 def own_folder() -> Path:

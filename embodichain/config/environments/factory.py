@@ -13,6 +13,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
+from embodichain.config.composition.locate import COMMAND_LINE
 from embodichain.config.environments.host_arrays import why_host, why_not_device, with_arrays
 from embodichain.config.environments.unread_overrides import refuse_unread_overrides
 from embodichain.config.gymnasium_ids import task_of_id
@@ -111,10 +112,16 @@ def make(
     kwargs |= {name: value for name, value in arguments.items() if value is not None}
     try:
         resolved = resolve(lines, "run", config_dir)
-    except ConfigError:
+    except ConfigError as error:
         _check_name(task, config_dir)
-        raise
+        raise type(error)([_in_python(problem) for problem in error.problems]) from error
     refuse_unread_overrides(overrides, resolved.root.viewer.name)
+    find = resolved.source
+    resolved = dataclasses.replace(
+        resolved,
+        notes=tuple(_in_python(note) for note in resolved.notes),
+        source=lambda path: find(path).replace(COMMAND_LINE, _CALL),
+    )
     for note in resolved.notes:
         _log.warning("%s", note)
     compiled_scene = compile_scene_of(resolved)
@@ -359,6 +366,15 @@ def _check_once(key: str, value: object, overrides: Sequence[str]) -> None:
     for line in overrides:
         if line.partition("=")[0].lstrip("+") == key:
             raise ConfigError(f"{key} is given twice: {value} as argument, and {line} in overrides")
+
+
+_CALL = "embodichain.make"
+"""Where the arguments of `make` were written; they are read as words of a command line."""
+
+
+def _in_python(problem: Problem) -> Problem:
+    """The problem of an argument or an override, without a command line that nobody typed."""
+    return problem.at(problem.source.replace(COMMAND_LINE, _CALL))
 
 
 def _check_name(task: str, config_dir: str | Path | None) -> None:

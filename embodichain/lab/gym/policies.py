@@ -17,7 +17,11 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.param_types import NonNegative
 from embodichain.lab.gym.envs.managers.terms.check import check_params
-from embodichain.lab.gym.envs.managers.terms.registry import describe_term, import_object
+from embodichain.lab.gym.envs.managers.terms.registry import (
+    call_mistake,
+    describe_term,
+    import_object,
+)
 from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -214,6 +218,9 @@ def _bind(func: Callable[..., Any], params: dict[str, Any]) -> Policy:
     if spec.is_class and not _has_call(func):
         # Before it is made: to make an object of any class may do anything, as `subprocess.Popen`.
         raise ConfigError([Problem("policy", f"class {spec.name!r} must define __call__")])
+    mistake = call_mistake(spec, "policy") if spec.is_class else None
+    if mistake is not None:
+        raise ConfigError([Problem("policy", mistake)])
     values, problems = check_params(spec, params, "policy.params")
     if problems:
         raise ConfigError(problems)

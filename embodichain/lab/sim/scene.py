@@ -33,6 +33,8 @@ from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.sensors.base_sensor import BaseSensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.no_effect import changed_without_effect
+from embodichain.utils.named import Named
+from embodichain.utils.notes import warn_once
 from embodichain.utils.system.memory import require_memory_for
 
 __all__ = ["Entity", "Scene"]
@@ -75,11 +77,11 @@ class Scene:
         self._cfg = cfg
         self._precompiled = compiled_scene
         self._checked = checked
-        self.robots: dict[str, Robot] = {}
-        self.articulations: dict[str, Articulation] = {}
-        self.rigid_objects: dict[str, RigidObject] = {}
-        self.lights: dict[str, Light] = {}
-        self.sensors: dict[str, BaseSensor] = {}
+        self.robots: dict[str, Robot] = Named("robot")
+        self.articulations: dict[str, Articulation] = Named("articulation")
+        self.rigid_objects: dict[str, RigidObject] = Named("rigid object")
+        self.lights: dict[str, Light] = Named("light")
+        self.sensors: dict[str, BaseSensor] = Named("sensor")
         self.world: World | None = None
         if compiled_scene is not None:
             self.world = compiled_scene.parts.world
@@ -202,7 +204,7 @@ class Scene:
             if not self._checked:
                 notes += self._without_effect()
             for note in (*notes, *self.compiled.notes):
-                _log.warning("%s", note)
+                warn_once(_log, note)
         return self.compiled
 
     def _parts(self) -> SceneParts:

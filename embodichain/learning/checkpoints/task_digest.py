@@ -11,6 +11,7 @@ import logging
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,11 +23,19 @@ from embodichain.learning.checkpoints.mdp_values import mdp_values
 from embodichain.learning.checkpoints.physics_values import physics_values
 from embodichain.learning.checkpoints.renamed_entities import with_present_names
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.notes import warn_once
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["ALLOW", "Change", "TaskDigest", "check_unchanged"]
+__all__ = [
+    "ALLOW",
+    "Change",
+    "TaskDigest",
+    "check_unchanged",
+    "name_other_columns",
+    "without_warnings_of_changes",
+]
 
 ALLOW = "allow_changed=true"
 """Override of the command line that accepts a changed task."""
@@ -46,6 +55,7 @@ _MOST_SHOWN = 12
 _ORDER = "(order)"
 """Key of a section for the order of its terms."""
 _OBJECTS = "task.objects."
+_NOISE = re.compile(r"task\.observations\.[^.]+\.noise(\..*)?")
 _STRENGTH = "strength"
 _NAMES = {
     "timing": "task.",
@@ -200,6 +210,8 @@ def _is_varied(part: str, name: str, varied: Iterable[str]) -> bool:
         uids = [path.removeprefix(_OBJECTS) for path in varied if path.startswith(_OBJECTS)]
         element = name.partition(":")[0]
         return any(re.search(rf"(?<![\w/]){re.escape(uid)}(?!\w)", element) for uid in uids)
+    if part == "corruption":  # it is off where no observation has noise
+        return any(_NOISE.fullmatch(path) for path in varied)
     return any(re.match(rf"{re.escape(path)}(?!\w)", name) for path in varied)
 
 
@@ -242,10 +254,54 @@ def check_unchanged(
     varied = [change for change in changes if change.part == VARIED]
     if varied:
         names = ", ".join(_shortened([change.name for change in varied]))
-        _log.warning("%s: variations change what was in %s: %s", name, made, names)
+        text = f"variations change what was in {made}: {names}"
+        warn_once(_log, f"{name}: {text}", key=text)  # the same for each policy of a study
     for line in _lines([change for change in changes if change.part != VARIED]):
         _log.warning("%s: changed since %s: %s", name, made, line)
     return changes
+
+
+def name_other_columns(trained_in: TaskDigest | None, env: BaseEnv, group: str) -> str:
+    """Return which observations and actions a task has, and the one in training had not.
+
+    Args:
+        trained_in: The digest in the policy's file; None names nothing.
+        env: The environment that it was to act in.
+        group: The policy's observation group.
+
+    Returns:
+        ``observations only in training: to_goal (3); only here: to_cube (3)``; empty if the names
+        are the same.
+    """
+    if trained_in is None:
+        return ""
+    before = trained_in.parts.get("space", {})
+    now = TaskDigest.of(env, group).parts["space"]
+    texts: list[str] = []
+    for kind in ("observations", "actions"):
+        names_before = list(before.get(kind, ()))
+        names_now = list(now.get(kind, ()))
+        sides = {
+            "only in training": [name for name in names_before if name not in names_now],
+            "only here": [name for name in names_now if name not in names_before],
+        }
+        parts = [
+            f"{side}: {', '.join(_shortened(names))}" for side, names in sides.items() if names
+        ]
+        if parts:
+            texts.append(f"{kind} {'; '.join(parts)}")
+    return "; ".join(texts)
+
+
+@contextmanager
+def without_warnings_of_changes() -> Iterator[None]:
+    """Let `check_unchanged` accept changes without a word, where they were said before."""
+    before = _log.disabled
+    _log.disabled = True
+    try:
+        yield
+    finally:
+        _log.disabled = before
 
 
 def _lines(changes: list[Change]) -> list[str]:

@@ -5,13 +5,19 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.learning.checkpoints.task_digest import Change, TaskDigest, check_unchanged
+from embodichain.learning.checkpoints.task_digest import (
+    Change,
+    TaskDigest,
+    check_unchanged,
+    name_other_columns,
+)
 from embodichain.learning.spaces import flat_observation, observation_columns
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -55,7 +61,18 @@ class TrainedPolicy(ABC):
             ConfigError: If its observations or actions differ from the task's, or the task changed
                 since training and `allow_changed` is not set.
         """
-        self._fit(env)
+        try:
+            self._fit(env)
+        except ConfigError as error:
+            names = name_other_columns(self.trained_in, env, self.group)
+            if not names:
+                raise
+            raise ConfigError(
+                [
+                    replace(problem, message=f"{problem.message} ({names})")
+                    for problem in error.problems
+                ]
+            ) from error
         self.changed = check_unchanged(
             self.name, self.trained_in, env, self.group, allow=self.allow_changed
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import embodichain
 from embodichain.cli import main
 from embodichain.lab.gym.envs.managers.terms.registry import KINDS
 
@@ -236,3 +237,19 @@ def test_process_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(sys, "argv", ["mine", "a"])
     assert main(["run", "task=reach", "--info", "searchpath"]) == 0
     assert sys.argv == ["mine", "a"]
+
+
+def test_a_task_without_a_description_in_a_working_copy(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There, files of the user are in the package's own folder: the folder is shown."""
+    (Path("conf") / "task").mkdir(parents=True)
+    (Path("conf") / "task" / "touch.yaml").write_text("{}\n")
+    assert main(["list", "tasks"]) == 0
+    (line,) = [x for x in capsys.readouterr().out.splitlines() if x.startswith(" touch ")]
+    assert line.split() == ["touch", "-", "./conf"]
+    root = Path(embodichain.__file__).resolve().parent.parent
+    monkeypatch.chdir(root)
+    rows = {row["name"]: row for row in listed("tasks", capsys)}
+    shown = rows["reach"]["from"]
+    assert shown.startswith("./") and (root / shown / "task" / "reach.yaml").is_file()

@@ -161,6 +161,8 @@ def test_eval_of_other_policies(here: Path, capsys: pytest.CaptureFixture[str]) 
         (["train", "task=reach", "max_steps=9"], "max_steps: `train` does not read it"),
         (["train", "-m", "task=reach", "seed=1,2", "episodes=9"], "has eval.episodes=9"),
         (["eval", "RUN", "task=cart_pole"], "has observations (21,), this task has (4,)"),
+        (["eval", "RUN", "task=cart_pole"], "observations only in training: qpos (6), "),
+        (["eval", "RUN", "task=cart_pole"], "only here: qpos (2), qvel (2); actions only in "),
         (["export", "policy", "zero"], "policy: only zips of trainings are exported"),
         (["export", "policy"], "export what?"),
         (["export"], "export what? One of: policy RUN"),
@@ -178,6 +180,8 @@ def test_mistakes(
 ) -> None:
     words = [str(trained) if word == "RUN" else word for word in arguments]
     assert message in refused(capsys, *words)
+    assert not list(here.glob("outputs/*/*/*"))  # what is refused leaves no folder
+    assert not Path("outputs/latest").is_symlink()
 
 
 def test_play_without_a_window_is_a_run(

@@ -53,7 +53,7 @@ BAD = {
         "min_position_iters, min_velocity_iters, build_pk_chain, compute_uv, "
         "use_usd_properties, control_parts, urdf_cfg, solver_cfg, init_quat, attachments, "
         "gravcomp, collision, collision_shapes, locked_joints, contact, self_collision, names, "
-        "attach, grippers, home. Did you mean 'init_qpos'?",
+        "marks, attach, grippers, home. Did you mean 'init_qpos'?",
         old="  init_qpos: [0",
         new="  init_qps: [0",
     ),
@@ -702,7 +702,7 @@ BAD = {
         "disable_self_collision, init_qpos, sleep_threshold, min_position_iters, "
         "min_velocity_iters, build_pk_chain, compute_uv, use_usd_properties, control_parts, "
         "urdf_cfg, solver_cfg, init_quat, attachments, gravcomp, collision, "
-        "collision_shapes, locked_joints, contact, self_collision, names, attach, "
+        "collision_shapes, locked_joints, contact, self_collision, names, marks, attach, "
         "grippers, home.",
         "command line: task.objects.box.shape.size: expected 3 values, got 2: [1, 2]",
         "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "

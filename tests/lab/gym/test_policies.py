@@ -41,6 +41,21 @@ def make():
         yield build
 
 
+class TakesObservations:
+    def __call__(self, obs):
+        return obs
+
+
+class NeedsMore:
+    def __call__(self, obs, env, scale):
+        return obs
+
+
+class TakesAnything:
+    def __call__(self, *args):
+        return args
+
+
 @pytest.fixture
 def user_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "user_policy_for_test.py").write_text(MODULE)
@@ -178,7 +193,17 @@ def test_files_are_left_to_who_can_read_them(path: str) -> None:
             "at least 0",
         ),
         (3, "policy", "is not callable"),
-        (lambda obs: None, "policy", "must take (obs, env, ...) first"),
+        (lambda obs: None, "policy", "must take (obs, env, ...) first, it takes (obs)"),
+        (
+            TakesObservations,
+            "policy",
+            "class 'TakesObservations': __call__ must take (self, obs, env), it takes (self, obs)",
+        ),
+        (
+            NeedsMore,
+            "policy",
+            "__call__ must take (self, obs, env), it takes (self, obs, env, scale)",
+        ),
     ],
 )
 def test_mistakes(user_module, policy, path, part) -> None:
@@ -186,3 +211,7 @@ def test_mistakes(user_module, policy, path, part) -> None:
         resolve_policy(policy)
     assert caught.value.problems[0].path == path
     assert part in str(caught.value)
+
+
+def test_a_class_may_take_more_than_it_is_given() -> None:
+    assert resolve_policy(TakesAnything)("obs", "env") == ("obs", "env")

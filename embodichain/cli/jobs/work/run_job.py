@@ -181,7 +181,12 @@ def _roll_out(
                 break
         seconds = time.perf_counter() - start
         show()
-    return {"status": status, "signal": stop.stopped, **_results(counted, seconds)}
+    results = {"status": status, "signal": stop.stopped, **_results(counted, seconds)}
+    # A batch in shards has no terms here: each shard warns of its own.
+    not_finite = getattr(env, "not_finite_terms", {})
+    if not_finite:
+        results["not_finite"] = not_finite
+    return results
 
 
 def _results(counted: EpisodeStatistics, seconds: float) -> dict[str, Any]:

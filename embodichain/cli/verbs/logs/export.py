@@ -16,7 +16,7 @@ from embodichain.cli.terminal.output import print_json, say_warnings
 from embodichain.cli.terminal.process import Interrupted, StopFlag, interrupts_say
 from embodichain.cli.terminal.reporting import ProgressDisplay, warnings_on_stderr
 from embodichain.cli.verb import verb
-from embodichain.cli.words import log_of, pair
+from embodichain.cli.words import log_of, log_warnings, pair
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -334,7 +334,7 @@ def _export_log(form: str, options: ExportOptions) -> None:
             path, interruption = _film(log, form, part, options)
         else:
             path = _write(log, form, part, options.output)
-        say_warnings(log.path, log.warnings)
+        say_warnings(log.path, log_warnings(log))
         num_bytes = _count_bytes(path)
         if options.json:
             print_json({"file": str(path), "bytes": num_bytes, "complete": log.complete})

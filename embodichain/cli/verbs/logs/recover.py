@@ -11,7 +11,7 @@ import click
 
 from embodichain.cli.terminal.output import print_json
 from embodichain.cli.verb import log_argument, verb
-from embodichain.cli.words import log_of
+from embodichain.cli.words import STILL_GOING, is_still_written, log_of
 
 if TYPE_CHECKING:
     from embodichain.recording.read.recover import Recovery
@@ -66,6 +66,8 @@ def _describe(recovery: Recovery) -> str:
     if recovery.steps:
         end = f"after step {recovery.steps - 1}"
     damage = recovery.damage
+    if is_still_written(recovery.source):
+        return f"recovered {recovery.path}: {contents}\nthe log ends {end}: {STILL_GOING}"
     if recovery.lost_bytes:
         damage += f" ({recovery.lost_bytes} bytes after it are not readable)"
     return f"recovered {recovery.path}: {contents}\nthe log ends {end}: {damage}"

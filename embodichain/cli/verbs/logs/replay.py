@@ -24,7 +24,7 @@ from embodichain.cli.terminal.output import (
 from embodichain.cli.terminal.process import Interrupted, StopFlag
 from embodichain.cli.terminal.reporting import ProgressDisplay, warn_if_public, warnings_on_stderr
 from embodichain.cli.verb import log_argument, verb
-from embodichain.cli.words import log_of, pair
+from embodichain.cli.words import STILL_GOING, is_still_written, log_of, log_warnings, pair
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -261,10 +261,12 @@ def _inspect(path: Path, options: ReplayOptions) -> int:
 
     summary = inspect(path)
     episodes = [episode for episode in summary.episodes if _is_listed(episode, options)]
-    say_warnings(path, summary.warnings)
+    is_going = not summary.complete and is_still_written(path)
+    say_warnings(path, log_warnings(summary))
     if options.json:
         facts = {
             **asdict(summary),
+            "running": is_going,
             "messages": summary.messages,
             "duration_s": summary.duration_s,
             "mean_reward": summary.mean_reward,
@@ -272,7 +274,7 @@ def _inspect(path: Path, options: ReplayOptions) -> int:
         }
         print_json(facts)
     elif not options.quiet:
-        _print_summary(summary, episodes)
+        _print_summary(summary, episodes, is_going=is_going)
     return process.OK
 
 
@@ -291,11 +293,13 @@ def _row(episode: LogEpisode) -> dict[str, Any]:
     return {name: getattr(episode, name) for name in _COLUMNS}
 
 
-def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
+def _print_summary(summary: LogSummary, episodes: list[LogEpisode], *, is_going: bool) -> None:
     """Print the facts of a log, its channels and the first of the listed episodes."""
     header = summary.header
     started = datetime.fromtimestamp(header.start_ns / 1e9)
     state = "complete" if summary.complete else "INCOMPLETE"
+    if is_going:
+        state = "not complete yet"
     facts: list[tuple[str, Any]] = [
         ("task", header.task),
         ("recorded", f"{started:%Y-%m-%d %H:%M:%S}, {header.recorded_with}"),
@@ -357,8 +361,13 @@ def _verify(path: Path, options: ReplayOptions) -> int:
             progress=progress,
             images=options.images,
         )
+    has_no_difference = report.difference is None and not report.ok
+    is_going = has_no_difference and is_still_written(path)
     if options.json:
-        print_json(asdict(report))
+        print_json({**asdict(report), "running": is_going})
+    elif is_going:
+        so_far = f"{report.steps} steps so far do not differ" if report.steps else "no step is read"
+        sys.stderr.write(f"{path}: {STILL_GOING}: verify its log when it has ended ({so_far})\n")
     elif not report.ok:
         sys.stderr.write(f"{path}: {report}\n")
     elif not options.quiet:
@@ -392,7 +401,7 @@ def _film(path: Path, out: Path, options: ReplayOptions) -> int:
             progress=film_progress(display),
             stop=stop.is_stopped,
         )
-        say_warnings(log.path, log.warnings)
+        say_warnings(log.path, log_warnings(log))
     if filmed.pictures:
         num_bytes = out.stat().st_size
         if options.json:
@@ -427,7 +436,7 @@ def _view(path: Path, options: ReplayOptions) -> int:
     )
     with StopFlag() as stop, joining.open(path) as log:
         stretch.span_in(log)  # a mistake is reported before a window opens
-        say_warnings(log.path, log.warnings)
+        say_warnings(log.path, log_warnings(log))
         screen = _open_screen(log, options, stop)
         watching = _watching(screen, options, stop)
         try:

@@ -10,6 +10,7 @@ import click
 
 from embodichain.cli.terminal.output import print_json, print_table
 from embodichain.cli.terminal.process import FAILED, OK
+from embodichain.cli.terminal.reporting import warnings_on_stderr
 from embodichain.cli.verb import verb
 
 __all__ = ["command"]
@@ -56,13 +57,14 @@ def command(options: VerifyOptions) -> int:
     """Check that files, numbers, physics and actions are those of a receipt."""
     from embodichain.cli.proof.receipt_check import check_receipt
 
-    report = check_receipt(
-        Path(options.receipt),
-        policy=None if options.policy is None else Path(options.policy),
-        every=options.every,
-        trust=options.trust,
-        sample_seed=options.sample_seed,
-    )
+    with warnings_on_stderr():
+        report = check_receipt(
+            Path(options.receipt),
+            policy=None if options.policy is None else Path(options.policy),
+            every=options.every,
+            trust=options.trust,
+            sample_seed=options.sample_seed,
+        )
     if options.json:
         findings = [asdict(finding) for finding in report.findings]
         print_json({"ok": report.ok, "findings": findings, "notes": report.notes})

@@ -15,7 +15,7 @@ import click
 from embodichain.cli.jobs.access_options import AccessOptions, access_options, naming_flags
 from embodichain.cli.terminal.output import print_json, say_warnings
 from embodichain.cli.verb import log_argument, verb
-from embodichain.cli.words import log_of
+from embodichain.cli.words import log_of, log_warnings
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def command(options: ViewOptions) -> None:
 
     path = log_of(options.file)
     log = inspect(_choose_shard(path) or path)
-    say_warnings(log.path, log.warnings)
+    say_warnings(log.path, log_warnings(log))
     layout = _save_layout(log)
     if options.json:
         print_json({"file": str(log.path), "layout": str(layout), "complete": log.complete})

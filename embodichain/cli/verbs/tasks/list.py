@@ -115,6 +115,8 @@ def command(options: ListOptions) -> None:
     faults = [f"{row['name']}: {row[_FAULT]}" for row in rows if row.get(_FAULT)]
     for row in rows:
         row.pop(_FAULT, None)  # a sentence, too long for a column
+        if "what" in row:
+            row["what"] = row["what"] or "-"
     print_table(options.what, rows)
     _print_list(_FAULT, faults)
     if options.what == "robots":
@@ -130,25 +132,33 @@ def _print_list(title: str, lines: list[str]) -> None:
 
 def _described(group: str) -> Rows:
     """Every option of a group whose files have a description; a broken file is listed too."""
-    from embodichain.config.composition.hydra_loader import config_loader
+    from embodichain.config.composition.hydra_loader import config_loader, origin_of
 
     with config_loader() as loader:
         return [
-            {"name": name, "what": _description(source, f"{group}/{name}"), "from": _place(source)}
+            {
+                "name": name,
+                "what": _description(source, f"{group}/{name}"),
+                "from": origin_of(source),
+            }
             for name, source in _options(loader, group)
         ]
 
 
 def _commented(group: str) -> Rows:
     """Every option of a group whose files begin with a comment that says what it is."""
-    from embodichain.config.composition.hydra_loader import config_loader, folder_of_source
+    from embodichain.config.composition.hydra_loader import (
+        config_loader,
+        folder_of_source,
+        origin_of,
+    )
 
     rows = []
     with config_loader() as loader:
         for name, source in _options(loader, group):
             folder = folder_of_source(source.scheme(), source.path)
             what = "" if folder is None else _comment(folder / group / f"{name}.yaml")
-            rows.append({"name": name, "what": what, "from": _place(source)})
+            rows.append({"name": name, "what": what, "from": origin_of(source)})
     return rows
 
 
@@ -156,10 +166,6 @@ def _options(loader: ConfigLoader, group: str) -> Iterator[tuple[str, ConfigSour
     """Yield the options of a group and where each is found first."""
     for name in loader.get_group_options(group):
         yield name, next(s for s in loader.get_sources() if s.is_config(f"{group}/{name}"))
-
-
-def _place(source: ConfigSource) -> str:
-    return "embodichain" if source.provider == "main" else source.provider
 
 
 def _comment(file: Path) -> str:

@@ -250,7 +250,8 @@ def _try_out(
         complete: Whether nothing is wrong so far; else only the environment is built.
 
     Returns:
-        Links of robots that overlap in many postures, one note for each robot.
+        Links of robots that overlap in many postures, one note for each robot; and what is odd
+        about the first steps with zero actions.
 
     Raises:
         ConfigError: A mistake that the job would refuse, with its place.
@@ -272,7 +273,7 @@ def _try_out(
                 check_algorithm(resolved, env)
                 if root.dataset is not None:
                     check_episode(resolved, env, first_episode(root, env))
-                return _overlaps(env)
+                return [*_overlaps(env), *_try_zero_actions(resolved, env)]
             if root.record.images is not None:
                 from embodichain.recording import ImageOptions
                 from embodichain.recording.views.images import image_topics
@@ -286,9 +287,18 @@ def _try_out(
                     policy.operator = IdleOperator()
             obs, _ = env.reset()
             env.step(policy(obs, env))
-            return _overlaps(env)
+            return [*_overlaps(env), *_try_zero_actions(resolved, env)]
         finally:
             env.close()
+
+
+def _try_zero_actions(resolved: Resolved, env: BaseEnv) -> list[Problem]:
+    """Judge a few steps with zero actions, where their results are on the host."""
+    from embodichain.config.checks.trial import try_zero_actions
+
+    if env.arrays.on_device:
+        return []
+    return [note.at(resolved.source(note.path)) for note in try_zero_actions(env)]
 
 
 def _overlaps(env: BaseEnv) -> list[Problem]:

@@ -580,8 +580,10 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             Observation; reward (N,) float32; terminated (N,) bool; truncated (N,) bool; info: a
             dict with ``elapsed_steps``, ``success``, ``success_terminated``, ``fail``,
             ``diverged``, ``rewards``, ``episode_sums``, ``metrics`` (all as before any reset) and
-            the entries of `evaluate`. ``success`` is the metric of that name above 0, in a task
-            that has one, and else ``success_terminated``, the success that ends episodes.
+            the entries of `evaluate`. ``rewards`` has the value of each term in this step without
+            its weight, ``episode_sums`` the sum of value x weight over the episode. ``success`` is
+            the metric of that name above 0, in a task that has one, and else
+            ``success_terminated``, the success that ends episodes.
             If an environment was reset in place, also ``final_obs`` (``final_observation``) and
             ``final_info``, valid in the rows where ``_final_obs`` and ``_final_info`` are True.
 
@@ -1075,6 +1077,14 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
                 stack.callback(observer.on_close, self)
 
     @property
+    def not_finite_terms(self) -> dict[str, int]:
+        """Terms that were NaN or infinite although physics was finite -> in how many steps.
+
+        ``{"rewards.energy": 12}``; the environments in which a term was so ended as diverged.
+        """
+        return self._judge.not_finite_terms
+
+    @property
     def is_closed(self) -> bool:
         """Whether `close` was called: what needs the simulation then raises Gymnasium's error."""
         return self._closed
@@ -1281,7 +1291,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             ConfigError: If there is none; lists the sensors.
         """
         if name not in self.sensors:
-            message = f"no sensor {name!r}; there are: {', '.join(self.sensors) or 'none'}"
+            message = f"no sensor {name!r}; there are: {', '.join(self.sensors) or 'none'}."
             raise ConfigError([Problem("", message, did_you_mean(name, self.sensors).strip())])
         return self.sensors[name]
 

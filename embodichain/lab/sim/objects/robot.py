@@ -11,6 +11,7 @@ import torch
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.utils.arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
+from embodichain.utils.named import Named
 from embodichain.utils.plugins import with_missing_members
 from embodichain.utils.tensor_mapping import TensorMapping
 
@@ -49,7 +50,8 @@ class Robot(Articulation):
     def control_parts(self) -> dict[str, list[str]]:
         """Joint names of each control part."""
         names = self.parsed.joint_names
-        return {part: [names[i] for i in ids] for part, ids in self.parsed.control_parts.items()}
+        parts = {part: [names[i] for i in ids] for part, ids in self.parsed.control_parts.items()}
+        return Named("control part", parts)
 
     def get_proprioception(self) -> TensorMapping:
         """Joint positions, velocities and efforts: ``qpos``, ``qvel``, ``qf``, (N, D) each."""

@@ -38,6 +38,7 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import (
 )
 from embodichain.utils.arrays import all_finite, is_host
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
+from embodichain.utils.named import Named
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -428,7 +429,7 @@ class Manager(Generic[C]):
         self._changed: dict[str, dict[str, Any]] = {}
         self._warning_counts: dict[str, int] = {}
         problems: list[Problem] = []
-        self.terms: dict[str, BuiltTerm[C]] = {}
+        self.terms: dict[str, BuiltTerm[C]] = Named(kind)
         for name, cfg in cfgs.items():
             try:
                 self.terms[name] = build_term(env, kind, name, cfg, path=f"{section}.{name}")

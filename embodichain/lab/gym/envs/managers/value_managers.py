@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.managers.terms.check import check_weight
 from embodichain.lab.gym.envs.managers.terms.term_errors import FAILURES, kind_of_values
 from embodichain.utils.arrays import is_host, tensor_of
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.named import Named, unknown_name
 
 if TYPE_CHECKING:
     import torch
@@ -63,7 +64,7 @@ class TermRows(Mapping[str, "torch.Tensor"]):
         try:
             row = self.rows[self.names.index(name)]
         except ValueError:
-            raise KeyError(name) from None
+            raise unknown_name("term", name, self.names) from None
         tensor = tensor_of(row.copy())
         if is_host(row):  # a captured step (`StepGraph`) writes new values into its rows
             self._tensors[name] = tensor
@@ -347,7 +348,7 @@ class RewardManager(Manager[RewardCfg]):
     ) -> None:
         self._floor = None if floor is None else np.float32(floor)
         weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
-        self.weights: Mapping[str, float] = MappingProxyType(weights)
+        self.weights: Mapping[str, float] = MappingProxyType(Named("reward", weights))
         super().__init__(env, "rewards", "reward", cfgs)
         # Arrays (T, N), replaced and never written to: returned ones must not change.
         self._sums: F32 = env.arrays.full((len(self.terms), self.num_envs), 0.0, np.float32)
@@ -392,7 +393,8 @@ class RewardManager(Manager[RewardCfg]):
         before = self.weights[name]
         if before == weight:
             return
-        self.weights = MappingProxyType({**self.weights, name: float(weight)})
+        weights = {**self.weights, name: float(weight)}
+        self.weights = MappingProxyType(Named("reward", weights))
         self.revision += 1
         if before == 0.0:
             self._renew(name)
@@ -491,7 +493,7 @@ class RewardManager(Manager[RewardCfg]):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         super().load_state_dict(state)
-        self.weights = MappingProxyType(dict(state["weights"]))
+        self.weights = MappingProxyType(Named("reward", state["weights"]))
         self.revision += 1
         self._bind()
         self._sums = np.empty_like(self._sums)

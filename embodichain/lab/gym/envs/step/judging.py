@@ -252,6 +252,11 @@ class StepJudge:
         self.hooks_share_info = hooks.any_shares_info
 
     @property
+    def not_finite_terms(self) -> dict[str, int]:
+        """Terms that were NaN or infinite beside finite physics -> in how many steps."""
+        return dict(self._warning_counts)
+
+    @property
     def obs_is_needed(self) -> bool:
         """Whether a hook or a term takes the observation, which is then made before judging."""
         return (

@@ -315,3 +315,19 @@ def test_a_curriculum_of_a_shape(name: str, value: Any, expected: str | None) ->
     assert [f.startswith(f"curriculum.c.params.{expected}") for f in found] == (
         [] if expected is None else [True]
     )
+
+
+class Short:
+    """A term whose `__call__` lacks what a reward is given."""
+
+    def __init__(self, env):
+        pass
+
+    def __call__(self, env, obs):
+        return None
+
+
+def test_a_class_must_take_what_terms_of_its_kind_are_given() -> None:
+    wanted = "__call__ must take (self, env, obs, action, info), it takes (self, env, obs)"
+    found = problems(rewards={"r": RewardCfg(func=Short)})
+    assert found == [f"rewards.r.func: class 'Short': {wanted}"]

@@ -35,6 +35,7 @@ from embodichain.lab.gym.envs.managers.terms.registry import (
     TERMS,
     Kind,
     TermSpec,
+    call_mistake,
     resolve_term,
 )
 from embodichain.utils.errors import ConfigError, Problem
@@ -253,6 +254,10 @@ def _check_class(path: str, spec: TermSpec) -> list[Problem]:
             return [Problem(path, f"{spec.label} must be a subclass of CommandTerm")]
     elif spec.is_class and "__call__" not in dir(spec.func):
         return [Problem(path, f"class {spec.name!r} must define __call__")]
+    elif spec.is_class:
+        mistake = call_mistake(spec, spec.kind)
+        if mistake is not None:
+            return [Problem(path, mistake)]
     return []
 
 

@@ -40,6 +40,7 @@ __all__ = [
     "Kind",
     "SpecKind",
     "TermSpec",
+    "call_mistake",
     "config_word",
     "describe_term",
     "import_object",
@@ -405,7 +406,11 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
     params = list(inspect.signature(func).parameters.values())
     positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     if len(params) < len(lead) or any(p.kind not in positional for p in params[: len(lead)]):
-        raise ValueError(f"{kind} term {title!r} must take ({', '.join(lead)}, ...) first")
+        what = kind if kind == "policy" else f"{kind} term"
+        found = ", ".join(parameter.name for parameter in params)
+        raise ValueError(
+            f"{what} {title!r} must take ({', '.join(lead)}, ...) first, it takes ({found})"
+        )
     rest = params[len(lead) :]
     variable = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     spec = TermSpec(
@@ -424,6 +429,28 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
         message = f"draws takes {', '.join(unknown)}, and {spec.label} has no such parameter"
         raise ValueError(f"{message}; it has: {', '.join(spec.params) or 'none'}")
     return spec
+
+
+def call_mistake(spec: TermSpec, kind: SpecKind) -> str | None:
+    """Return what is wrong with the ``__call__`` of a class; None if it takes what it is given.
+
+    Args:
+        spec: The class.
+        kind: What calls its objects.
+    """
+    call = inspect.getattr_static(spec.func, "__call__", None)
+    if not inspect.isfunction(call):
+        return None  # made by a decorator or written in C: the first call shows what it takes
+    taken = inspect.signature(call)
+    # A quantity that is a class has got `env` in `__init__`.
+    lead = LEADING[kind] if spec.lead is None else spec.lead
+    try:
+        taken.bind(None, *lead)  # None stands for `self`
+    except TypeError:
+        wanted = ", ".join(("self", *lead))
+        found = ", ".join(taken.parameters)
+        return f"class {spec.name!r}: __call__ must take ({wanted}), it takes ({found})"
+    return None
 
 
 def _by_config_word(parameters: Iterable[inspect.Parameter]) -> dict[str, inspect.Parameter]:

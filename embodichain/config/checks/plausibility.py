@@ -1,0 +1,116 @@
+"""`implausible_values`: values that are allowed, but look as if they were in another unit.
+
+Lengths are in metres and times in seconds: an object of 20 m, or a place at 110 m, is mostly one in
+millimetres, centimetres or degrees. That is a warning: there may be such a scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from embodichain.lab.sim.cfg import HaloCfg, RigidObjectCfg
+from embodichain.lab.sim.configs.scene_cfg import ObjectBaseCfg
+from embodichain.lab.sim.shapes import CapsuleCfg, CubeCfg, CylinderCfg, SphereCfg
+from embodichain.utils.errors import Problem
+from embodichain.utils.fields.no_effect import config_nodes
+
+__all__ = ["implausible_values"]
+
+_LONGEST_TIME_STEP = 0.05
+_LARGEST = 10.0
+_SMALLEST = 1e-4
+_FARTHEST = 20.0
+_LENGTHS: tuple[tuple[type, tuple[str, ...]], ...] = (
+    (CubeCfg, ("size",)),
+    (SphereCfg, ("radius",)),
+    (CylinderCfg, ("radius", "height")),
+    (CapsuleCfg, ("radius", "height")),
+    (HaloCfg, ("radius",)),
+)
+_PLACES_OF_TERMS = ("position_range", "pose_range", "position", "pos", "offset")
+"""Parameters of events and commands with places, whatever the term."""
+
+
+def implausible_values(root: Any, tree: Mapping[str, Any]) -> list[Problem]:
+    """Return a note for each value that is probably in another unit than the one it is read in.
+
+    Args:
+        root: A config as data classes.
+        tree: The plain values it was read from; values that are not given are not looked at.
+    """
+    notes = list(_time_step(root))
+    # What cannot move may be as large as a building.
+    static_paths: list[str] = []
+    for path, cfg, given in config_nodes(root, tree):
+        if isinstance(cfg, RigidObjectCfg) and cfg.body_type == "static":
+            static_paths.append(f"{path}.")
+        is_static = path.startswith(tuple(static_paths))
+        notes += [note.below(path) for note in _lengths(cfg, given, is_static=is_static)]
+        if isinstance(cfg, ObjectBaseCfg):
+            notes += [note.below(path) for note in _place("init_pos", given.get("init_pos"))]
+    notes += _places_of_terms(tree.get("task"))
+    return notes
+
+
+def _time_step(root: Any) -> Iterator[Problem]:
+    physics = root.task.physics
+    time_step = None if physics is None else physics.physics_dt
+    if time_step is not None and time_step > _LONGEST_TIME_STEP:
+        fact = f"{time_step:g} s is a long physics step: most scenes are unstable above"
+        advice = f"{_LONGEST_TIME_STEP:g} s, usual are 0.001 to 0.01 s"
+        yield Problem("task.physics.physics_dt", f"{fact} {advice}")
+
+
+def _lengths(cfg: Any, given: Mapping[str, Any], *, is_static: bool) -> Iterator[Problem]:
+    """Given lengths of one shape that are very large or very small."""
+    for kind, names in _LENGTHS:
+        if not isinstance(cfg, kind):
+            continue
+        for name in names:
+            sizes = list(_numbers(given.get(name)))
+            if not sizes:
+                continue
+            if max(sizes) > _LARGEST and not is_static:
+                yield Problem(name, f"{max(sizes):g} m is very large: lengths are in metres")
+            if min(sizes) < _SMALLEST:
+                yield Problem(name, f"{min(sizes):g} m is very small: lengths are in metres")
+
+
+def _places_of_terms(task: Any) -> Iterator[Problem]:
+    """Places in the parameters of events and commands that are far away."""
+    if not isinstance(task, Mapping):
+        return
+    for section in ("events", "commands"):
+        terms = task.get(section)
+        if not isinstance(terms, Mapping):
+            continue
+        for name, term in terms.items():
+            params = term.get("params") if isinstance(term, Mapping) else None
+            if not isinstance(params, Mapping):
+                continue
+            for key in _PLACES_OF_TERMS:
+                path = f"task.{section}.{name}.params.{key}"
+                yield from _place(path, params.get(key))
+
+
+def _place(path: str, value: Any) -> Iterator[Problem]:
+    """A place, or limits of places, with a number that is far from the origin."""
+    distance = max((abs(number) for number in _numbers(value)), default=0.0)
+    if distance > _FARTHEST:
+        fact = f"{distance:g} m is far away: positions are in metres"
+        yield Problem(path, f"{fact}, joint positions in rad")
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    """The numbers in a value, such as a nested list."""
+    if isinstance(value, bool):
+        return
+    if isinstance(value, int | float):
+        yield float(value)
+    elif isinstance(value, Sequence) and not isinstance(value, str):
+        for item in value:
+            yield from _numbers(item)
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from _numbers(item)
