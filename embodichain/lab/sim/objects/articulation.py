@@ -102,7 +102,7 @@ class Articulation(FrameReads):
         self._qpos = self._qvel = None
         self.parsed = self.drives.parsed = self.parsed.without_model()
 
-    def repr_facts(self) -> dict[str, Any]:
+    def _repr_facts(self) -> dict[str, Any]:
         """Return the joints and the number of links."""
         return {"joints": self.joint_names, "links": len(self.link_names)}
 

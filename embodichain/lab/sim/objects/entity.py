@@ -55,9 +55,9 @@ class Handle(Generic[Index]):
 
     def __repr__(self) -> str:
         """Return class, name, N and what it consists of, in one line."""
-        return short_repr(self, self.uid, num_envs=self.num_instances, **self.repr_facts())
+        return short_repr(self, self.uid, num_envs=self.num_instances, **self._repr_facts())
 
-    def repr_facts(self) -> dict[str, Any]:
+    def _repr_facts(self) -> dict[str, Any]:
         """Return what its `repr` says besides name and N; empty facts are left out."""
         return {}
 

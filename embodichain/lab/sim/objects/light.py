@@ -45,7 +45,7 @@ class Light(Handle[int]):
         self._intensity: Floats = full((count, 1), float(cfg.intensity))
         self._falloff: Floats = full((count, 1), float(cfg.radius))
 
-    def repr_facts(self) -> dict[str, Any]:
+    def _repr_facts(self) -> dict[str, Any]:
         """Return the kind of light."""
         return {"light_type": self.cfg.light_type}
 

@@ -103,7 +103,7 @@ class BaseSensor(Handle[SensorIndex]):
         self.names = plan.names
         self.reads = plan.cfg.readings()
 
-    def repr_facts(self) -> dict[str, Any]:
+    def _repr_facts(self) -> dict[str, Any]:
         """Return what it is fixed on or measures, and its measurements."""
         return {"of": list(self.names), "reads": list(self.reads)}
 
