@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from embodichain.utils.array_types import EnvIndex, Floats
 from embodichain.utils.random import RandomStreams
+from embodichain.utils.short_repr import short_repr
 
 if TYPE_CHECKING:
     import torch
@@ -55,6 +56,10 @@ class Arrays:
         import torch
 
         self.device = torch.device("cpu")
+
+    def __repr__(self) -> str:
+        """Return class and device."""
+        return short_repr(self, device=str(self.device))
 
     def full(self, shape: int | Sequence[int], value: Any, dtype: Any = np.float64) -> Any:
         """Make an array with one value everywhere."""

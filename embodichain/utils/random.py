@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.utils.array_types import EnvIndex
+from embodichain.utils.short_repr import short_repr
 
 __all__ = [
     "GAMMA",
@@ -156,6 +157,10 @@ class RandomStreams:
         self._counters: dict[str, U64] = {}
         self._steps: dict[int, U64] = {}
         self._blocks: dict[str, _Block] = {}
+
+    def __repr__(self) -> str:
+        """Return the seed and N."""
+        return short_repr(self, seed=self.seed, num_envs=self.num_envs)
 
     def _stream(self, name: str) -> tuple[U64, U64]:
         keys = self._keys.get(name)

@@ -220,6 +220,30 @@ def test_pages_in_a_browser(site) -> None:
     assert f"{origin}search/search_index.json" in requests
 
 
+@needs_chromium
+@pytest.mark.parametrize("width", [1400, 400])
+def test_the_search_works_in_pages_opened_from_disk(site, width: int) -> None:
+    failures: list[str] = []
+
+    def watch(page) -> None:
+        page.on("pageerror", lambda error: failures.append(str(error)))
+        page.on("requestfailed", lambda request: failures.append(request.url))
+
+    with chromium(watch) as visit:
+        page = visit((site.folder / "tasks" / "reach.html").as_uri(), width, 900)
+        if width == 400:  # the field is behind an icon
+            page.click("label.md-header__button[for=__search]", timeout=60_000)
+        else:
+            page.click(".md-search__input", timeout=60_000)
+        page.fill(".md-search__input", "operational_space", timeout=60_000)
+        page.press(".md-search__input", "Space")  # the field may have been filled before it listens
+        result = page.locator(".md-search-result__item a").first
+        result.wait_for(timeout=60_000)
+        address = result.get_attribute("href")
+    assert address.startswith("file:") and address.partition("?")[0].endswith(".html")
+    assert failures == []
+
+
 def test_a_page_without_a_place_is_appended_to_the_guides(monkeypatch, tmp_path) -> None:
     monkeypatch.syspath_prepend(DOCS / "site")
     hooks = importlib.import_module("hooks")

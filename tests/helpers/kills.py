@@ -206,7 +206,7 @@ def _after_kill(
     for log in folders(folder, "**/rollout*.mcap") if left else ():
         forks.run(("replay", str(log)), folder)  # any command that reads there
     for checkpoints in folders(folder, "**/checkpoints") if left else ():
-        forks.run(("report", str(checkpoints.parent)), folder)
+        forks.run(("report", "--no-film", str(checkpoints.parent)), folder)
     wrong += [f"again: {w}" for w in half_written(folder) if not w.endswith(CUT)]
     return Killed(ended.code == 0, len(left), wrong)
 

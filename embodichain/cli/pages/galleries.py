@@ -1,9 +1,15 @@
-"""Pictures of a run on its page, drawn from its log: one episode, and the ends of failed ones."""
+"""Pictures of a run on its page, drawn from its log: one episode, and the ends of failed ones.
+
+The page of a policy has a film of the episode in place of pictures.
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import io
-from collections.abc import Sequence
+import math
+import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +21,7 @@ from embodichain.cli.pages.page import data_url
 from embodichain.cli.pages.run_record import RunRecord
 from embodichain.utils.errors import EmbodichainError
 
-__all__ = ["Gallery", "Still", "draw_episode", "draw_failures", "jpeg"]
+__all__ = ["Film", "Gallery", "Still", "draw_episode", "draw_failures", "film_episode", "jpeg"]
 
 _PICTURES = 5
 """Pictures of an episode."""
@@ -25,6 +31,13 @@ _FAILURE_SIZE = (400, 300)
 _START_SIZE = (1280, 960)
 """Of `scene.png`."""
 _JPEG_QUALITY = 82
+_FILM_TYPES = {".mp4": "video/mp4", ".gif": "image/gif"}
+_FILM_PICTURES = 80
+"""Pictures of a film, at most: they cost about 0.04 s each."""
+_FILM_SHORTEST_GAP = 0.04
+"""Seconds from one picture to the next, at least."""
+_FILM_LONGEST_GAP = 0.1
+"""Likewise, at most; of an episode that is longer than 80 such pictures, the beginning is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +55,19 @@ class Still:
     caption: str
     width: int
     height: int
+
+
+@dataclass(frozen=True, slots=True)
+class Film:
+    """A film in a page.
+
+    Attributes:
+        source: Its content, as an address.
+        caption: What it shows.
+    """
+
+    source: str
+    caption: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +115,63 @@ def draw_episode(record: RunRecord, episodes: Sequence[PlayedEpisode]) -> Galler
     except EmbodichainError as error:
         return _start_picture(record, f"no pictures of the log: {error}")
     return Gallery(stills, caption=_describe(episode))
+
+
+def film_episode(
+    episodes: Sequence[PlayedEpisode], begin: Callable[[], None] = lambda: None
+) -> Film | None:
+    """Film the episode that `draw_episode` draws: up to 80 pictures, at least 10 a second.
+
+    Args:
+        episodes: The episodes of a run.
+        begin: Called before it is drawn, which takes seconds.
+
+    Returns:
+        The film, an MP4 where the extra ``video`` is installed, else a GIF. None if no episode has
+        ended in a log, or nothing can be drawn: `draw_episode` says why.
+    """
+    from embodichain import recording
+    from embodichain.recording.film.filming import film_log
+
+    episode = _best_episode(episodes)
+    if episode is None or episode.log is None:
+        return None
+    suffix = ".gif" if importlib.util.find_spec("imageio_ffmpeg") is None else ".mp4"
+    begin()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"episode{suffix}"
+        try:
+            with recording.open(episode.log) as log:
+                every = _steps_per_picture(episode.length, log.dt)
+                last = min(episode.last_step, episode.first_step + every * _FILM_PICTURES - 1)
+                film_log(
+                    log,
+                    path,
+                    env=episode.env,
+                    first=episode.first_step,
+                    last=last,
+                    size=_SIZE,
+                    every=every,
+                )
+        except EmbodichainError:
+            return None
+        source = data_url(path.read_bytes(), _FILM_TYPES[suffix])
+    caption = f"drawn from the log for this page: {_describe(episode)}"
+    if last < episode.last_step:
+        caption += f"; its first {last - episode.first_step + 1} steps"
+    return Film(source, caption)
+
+
+def _steps_per_picture(length: int, dt: float) -> int:
+    """Control steps from one picture of a film to the next: of 80 pictures, at 10 to 25 a second.
+
+    Args:
+        length: Control steps of the episode.
+        dt: Length of a control step in seconds.
+    """
+    slowest = _FILM_LONGEST_GAP / dt
+    fastest = _FILM_SHORTEST_GAP / dt
+    return max(1, math.ceil(max(fastest, min(length / _FILM_PICTURES, slowest)) - 1e-9))
 
 
 def _start_picture(record: RunRecord, reason: str) -> Gallery:

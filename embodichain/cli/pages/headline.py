@@ -115,6 +115,8 @@ def seeds_result(name: str, estimate: SeedEstimate, *, is_share: bool = False) -
         estimate: The mean.
         is_share: Whether it is a share, which is written in percent.
     """
+    from embodichain.learning.evaluation.statistics import LEAST_SEEDS
+
     text, _, rest = mean_of_seeds(estimate, share=is_share).partition(" ")
     count = len(estimate.values)
     about = ["1 seed" if count == 1 else f"{count} seeds"]
@@ -124,7 +126,10 @@ def seeds_result(name: str, estimate: SeedEstimate, *, is_share: bool = False) -
         about.insert(0, f"95 % interval {rest.strip('[]').replace(', ', ' to ')}")
         mark = interval_mark(estimate.mean, low, high) if is_share else mark
     elif rest:
-        about.append(rest.strip("()"))
+        values = rest.strip("()").removeprefix("seeds ")
+        unit = " in percent" if is_share else ""
+        about.append(f"value of each{unit}: {values}")
+        about.append(f"an interval needs {LEAST_SEEDS} seeds")
     return Result(name, text, about=tuple(about), value=estimate.mean, mark=mark)
 
 

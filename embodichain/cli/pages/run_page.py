@@ -7,7 +7,7 @@ left out.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,13 @@ from markupsafe import Markup
 from embodichain.cli.pages.curves import log_charts, training_charts
 from embodichain.cli.pages.episodes import PlayedEpisode, counted_episodes, read_episodes
 from embodichain.cli.pages.figures import ValueGroup, bar, distribution
-from embodichain.cli.pages.galleries import Gallery, draw_episode, draw_failures
+from embodichain.cli.pages.galleries import (
+    Film,
+    Gallery,
+    draw_episode,
+    draw_failures,
+    film_episode,
+)
 from embodichain.cli.pages.headline import headline
 from embodichain.cli.pages.page import data_url, render_page
 from embodichain.cli.pages.run_record import (
@@ -47,32 +53,55 @@ _LARGEST_FILM = 64 * 2**20
 """Bytes of films in the page; a third is added by their encoding."""
 _FILMS = {".mp4": "video/mp4", ".gif": "image/gif"}
 """Suffix -> type of a film."""
+_ABOUT_EXPLORATION = (
+    "Curves are of the training, in which actions are drawn at random, or with noise, to explore; "
+    "each point is a mean over the last episodes. The evaluation plays the mean action, so its "
+    "results may be better than where the curves end."
+)
 _OUTCOMES = ((True, "success", "good"), (False, "no success", "bad"), (None, "", "plain"))
 """Success of an episode, its legend, and its colour."""
 _NOTHING: tuple[Any, ...] = (None, "", "-", [], (), {})
 Rows = list[tuple[str, str]]
 
 
-def page_of_run(folder: Path) -> str:
+def page_of_run(
+    folder: Path, *, draws_film: bool = False, say: Callable[[str], None] = lambda line: None
+) -> str:
     """Return the report of a run as HTML.
 
     Args:
         folder: The run's folder.
+        draws_film: Whether an episode of a training or an evaluation without a film is filmed from
+            the log, else it has five pictures. It takes seconds.
+        say: Called with a line before that.
 
     Raises:
         ConfigError: If it is not a run's folder, or a file in it is damaged.
     """
     with named_damage(folder):
-        return render_page("run.html.tmpl", _context(read_record(folder)))
+        record = read_record(folder)
+        notes = _notes(record)
+        log = _log(record, notes)
+        episodes = read_episodes(record, log)
+        films = _films(folder, notes)
+        if draws_film and not films and record.kind in ("training", "evaluation"):
+            film = film_episode(
+                episodes, lambda: say("drawing an episode: --no-film leaves it out")
+            )
+            films = [] if film is None else [film]
+        context = _context(record, log, episodes, films, notes)
+        return render_page("run.html.tmpl", context)
 
 
-def _context(record: RunRecord) -> dict[str, Any]:
+def _context(
+    record: RunRecord,
+    log: LogSummary | None,
+    episodes: Sequence[PlayedEpisode],
+    films: Sequence[Film],
+    notes: list[str],
+) -> dict[str, Any]:
     """The variables of the template."""
     folder = record.folder
-    notes = _notes(record)
-    log = _log(record, notes)
-    episodes = read_episodes(record, log)
-    films = _films(folder, notes)
     strip = Gallery() if films else draw_episode(record, episodes)
     failures = draw_failures(episodes)
     return {
@@ -91,6 +120,8 @@ def _context(record: RunRecord) -> dict[str, Any]:
         "failures": failures,
         "episodes": _episode_rows(episodes[:_MOST_EPISODES]),
         "num_episodes": len(episodes),
+        "counting": _counting(log),
+        "about_curves": _about_curves(record),
         "rewards": _rewards(record.outcome),
         "rows": fact_rows(result_rows(record.summary, record.evaluation)),
         "training": _training(record),
@@ -144,8 +175,8 @@ def fact_rows(rows: Iterable[tuple[str, Any]]) -> Rows:
 # -- pictures --------------------------------------------------------------------------------------
 
 
-def _films(folder: Path, notes: list[str]) -> list[tuple[str, str]]:
-    """Name and address of each film; adds notes about films that are too large."""
+def _films(folder: Path, notes: list[str]) -> list[Film]:
+    """The films in a run's folder; adds notes about those that are too large."""
     films = []
     total = 0
     paths = [path for path in folder.iterdir() if path.suffix in _FILMS]
@@ -156,7 +187,8 @@ def _films(folder: Path, notes: list[str]) -> list[tuple[str, str]]:
         if total > _LARGEST_FILM:
             notes.append(f"{path.name} is not in the page: films may have {_LARGEST_FILM:,} bytes")
         else:
-            films.append((path.name, data_url(path.read_bytes(), _FILMS[path.suffix])))
+            source = data_url(path.read_bytes(), _FILMS[path.suffix])
+            films.append(Film(source, caption=path.name))
     return films
 
 
@@ -259,6 +291,7 @@ def _training(record: RunRecord) -> dict[str, Any]:
         "folder": display_path(folder),
         "rows": fact_rows(result_rows(training.summary, {})),
         "charts": training_charts(folder),
+        "about_curves": _about_curves(record) if training.summary["algo"] != "bc" else "",
         "command": f"embodichain report {shlex.quote(display_path(folder))}",
     }
 
@@ -276,9 +309,9 @@ def _log_facts(log: LogSummary | None) -> Rows:
         return []
     header = log.header
     ended = f"{len(log.episodes):,}"
-    if log.counted is not None:
-        counting = "the first of each environment" if header.quota else "those that were needed"
-        ended += f", of which {log.counted:,} count: {counting}"
+    counting = _counting(log)
+    if counting:
+        ended += f", of which {counting}"
     verifiable = "yes"
     if header.unverifiable:
         verifiable = f"no: {header.unverifiable}"
@@ -290,6 +323,21 @@ def _log_facts(log: LogSummary | None) -> Rows:
         ("episodes that ended", ended),
         ("verifiable", verifiable),
     ]
+
+
+def _counting(log: LogSummary | None) -> str:
+    """``100 count: the first of each environment``; empty if the log does not say which count."""
+    if log is None or log.counted is None:
+        return ""
+    reason = "the first of each environment" if log.header.quota else "those that were needed"
+    return f"{log.counted:,} count: {reason}"
+
+
+def _about_curves(record: RunRecord) -> str:
+    """Why a policy that is evaluated may be better than its curves; empty where that is not so."""
+    evaluation = record.evaluation or record.summary.get("eval") or {}
+    explores = record.summary.get("algo") != "bc"
+    return _ABOUT_EXPLORATION if evaluation.get("deterministic") and explores else ""
 
 
 # -- commands --------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.terminal.output import result_number
@@ -11,7 +11,14 @@ if TYPE_CHECKING:
     from embodichain.learning.evaluation.comparison import Group
     from embodichain.learning.evaluation.statistics import SeedEstimate
 
-__all__ = ["comparison_table", "mean_of_seeds", "seed_estimates", "too_few_seeds"]
+__all__ = [
+    "comparison_table",
+    "describe_means",
+    "mean_of_seeds",
+    "rate_episodes",
+    "seed_estimates",
+    "too_few_seeds",
+]
 
 _COLUMNS = {
     "success": "success_rate",
@@ -22,6 +29,8 @@ _COLUMNS = {
     "seconds": "train_seconds",
     "env steps": "env_steps",
 }
+_EPISODES = {"success": "episodes", "eval success": "eval episodes"}
+"""Column of a rate -> the column behind it, how many episodes of each run it is from."""
 _COSTS = ("steps/s", "seconds", "env steps")
 """Columns that are not results: without an interval, the mean alone is shown."""
 
@@ -42,9 +51,35 @@ def comparison_table(groups: Sequence[Group]) -> tuple[str, list[dict[str, Any]]
         row: dict[str, Any] = {"runs": label, "seeds": len(group.runs)}
         for title, name in columns.items():
             row[title] = _cell(title, group_estimates[name])
+            if title in _EPISODES:
+                row[_EPISODES[title]] = _range_text(rate_episodes(group).get(name, []))
         rows.append(row)
+    results = []
+    for title, name in columns.items():
+        if title not in _COSTS:
+            results += [group_estimates[name] for group_estimates in estimates]
     trainings = f"trainings of {common}" if common else "trainings"
-    return f"{trainings}: mean over seeds [95 % interval]", rows
+    return f"{trainings}: {describe_means(results)}", rows
+
+
+def describe_means(estimates: Iterable[SeedEstimate | None]) -> str:
+    """Return what the cells of `mean_of_seeds` are, for the title of their table.
+
+    Args:
+        estimates: The means in the table; None for an empty cell.
+    """
+    from embodichain.learning.evaluation.statistics import LEAST_SEEDS
+
+    counts = sorted({len(estimate.values) for estimate in estimates if estimate is not None})
+    needed = f"an interval needs {LEAST_SEEDS} seeds"
+    if not counts or counts[0] >= LEAST_SEEDS:
+        return "mean over seeds [95 % interval]"
+    if counts == [1]:
+        return f"one seed; {needed}"
+    if counts[-1] >= LEAST_SEEDS:
+        return f"mean over seeds [95 % interval], or (the value of each seed); {needed}"
+    number_of_seeds = " or ".join(map(str, counts))
+    return f"mean over {number_of_seeds} seeds (the value of each); {needed}"
 
 
 def too_few_seeds(groups: Sequence[Group]) -> list[str]:
@@ -64,6 +99,24 @@ def too_few_seeds(groups: Sequence[Group]) -> list[str]:
 def seed_estimates(group: Group) -> dict[str, SeedEstimate | None]:
     """Each column of `comparison_table` for a group: its mean, with an interval over seeds."""
     return {name: group.number(name) for name in _COLUMNS.values()}
+
+
+def rate_episodes(group: Group) -> dict[str, list[int]]:
+    """Return the number of episodes of each run behind each rate of `seed_estimates`."""
+    episodes: dict[str, list[int]] = {}
+    for run in group.runs:
+        for name, trials in run.trials.items():
+            if name in _COLUMNS.values():
+                episodes.setdefault(name, []).append(trials)
+    return episodes
+
+
+def _range_text(counts: Sequence[int]) -> str | None:
+    """``100``, or ``64 to 100`` where runs differ."""
+    if not counts:
+        return None
+    low, high = min(counts), max(counts)
+    return f"{low:,}" if low == high else f"{low:,} to {high:,}"
 
 
 def _cell(title: str, estimate: SeedEstimate | None) -> str | None:
@@ -89,4 +142,4 @@ def mean_of_seeds(estimate: SeedEstimate, *, share: bool = False) -> str:
     if len(estimate.values) == 1:
         return mean
     values = ", ".join(text(value).rstrip("%") for value in estimate.values)
-    return f"{mean} ({values})"
+    return f"{mean} (seeds {values})"

@@ -44,6 +44,8 @@ SECTION_OF: dict[Kind, str] = {kind: section for section, kind in SECTIONS.items
 """Kind of term -> section of a task, in the order of pages and tables."""
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Example|Examples|Note|Yields):\s*$")
 _ENTRY = re.compile(r"^\*{0,2}(\w+)(?: \([^)]*\))?: (.*)$")
+_PROPER_NAMES = ("Euclidean",)
+"""First words of docstrings that keep their capital within a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,17 +149,35 @@ def _doc_of(spec: TermSpec) -> TermDoc:
 def _doc_of_alias(spec: AliasSpec) -> TermDoc:
     """Describe an alias by the docstrings of its target and shapes."""
     docs = [parse_doc(part.doc) for part in spec.parts]
-    target_and_shapes = docs[: 1 + len(spec.steps)]
-    summaries = [doc.summary for doc in target_and_shapes]
     return TermDoc(
         summary=f"{spec.doc} {docs[0].summary}",
-        text="\n\n".join([spec.doc, *summaries]),
+        text=f"{spec.doc}\n\n{_meaning_of_alias(spec, docs)}",
         params={
             name: spec.texts.get(name) or docs[part].params.get(key, "")
             for name, (part, key) in spec.exposed.items()
         },
         example=_example_of_alias(spec, docs),
     )
+
+
+def _meaning_of_alias(spec: AliasSpec, docs: Sequence[TermDoc]) -> str:
+    """What an alias computes, in one sentence, the last shape first.
+
+    ``The value is `l2` (sum of squares) of `joint_velocity` ((N, J) rad/s or m/s).``
+
+    Args:
+        spec: The alias.
+        docs: The docstrings of its parts.
+    """
+    if not spec.steps:
+        return docs[0].summary
+    parts = []
+    for part, doc in zip((spec.target, *spec.steps), docs, strict=False):
+        summary = doc.summary.rstrip(".")
+        if summary.partition(" ")[0] not in _PROPER_NAMES and summary[1:2].islower():
+            summary = summary[0].lower() + summary[1:]
+        parts.append(f"`{part.name}` ({summary})")
+    return f"The value is {' of '.join(reversed(parts))}."
 
 
 def _example_of_alias(spec: AliasSpec, docs: Sequence[TermDoc]) -> str:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from embodichain.cli.jobs.receipt import RECEIPT, write_receipt
+from embodichain.cli.results.comparison_tables import describe_means, mean_of_seeds
 from embodichain.cli.studies.episode_table import (
     DRAWN,
     EpisodeTable,
@@ -50,6 +51,7 @@ from embodichain.utils.number_text import result_number
 from embodichain.utils.system.atomic import write_text
 
 __all__ = [
+    "RANKED_FACTORS",
     "RATES",
     "Factors",
     "StudyResults",
@@ -58,6 +60,8 @@ __all__ = [
     "write_results",
 ]
 
+RANKED_FACTORS = "the drawn factor that success depends on most"
+"""Title of the table of `StudyResults.ranked_factors`."""
 _WITHOUT_MODELS = "the joint model of factors needs statsmodels: embodichain[study]"
 RATES = ("success",)
 """Metrics that are shares of episodes."""
@@ -198,9 +202,20 @@ class StudyResults:
         if self.pairs:
             rows = [_pair_row(result) for result in self.pairs]
             yield f"difference from {self.study.baseline}, on the same starts", rows
-        if self.factors:
-            rows = [_factor_row(factors) for factors in self.factors]
-            yield "the drawn factor that success depends on most", rows
+        rows = self.ranked_factors()
+        if rows:
+            yield RANKED_FACTORS, rows
+
+    def ranked_factors(self) -> list[dict[str, Any]]:
+        """Return a row for each analysis that ranks factors; `notes` say why others do not."""
+        rows: list[dict[str, Any]] = []
+        for factors in self.factors:
+            if factors.ranking is not None and factors.ranking.effects:
+                rows.append(_factor_row(factors, factors.ranking))
+        if not any(row["note"] for row in rows):
+            for row in rows:
+                del row["note"]
+        return rows
 
     def factor_tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
         """Yield a title and rows for each joint model of factors."""
@@ -224,8 +239,9 @@ class StudyResults:
                     "episodes": result.episodes,
                 },
             )
-            row[result.metric] = _estimate_text(result.metric, result.over_seeds)
-        return f"{self.study.name}: mean over seeds [95 % interval]", list(rows.values())
+            row[result.metric] = mean_of_seeds(result.over_seeds, share=result.metric in RATES)
+        means = describe_means(result.over_seeds for result in self.arms)
+        return f"{self.study.name}: {means}", list(rows.values())
 
 
 def fits_models() -> bool:
@@ -414,6 +430,7 @@ def _factors(
     study: Study, episodes: EpisodeTable, notes: list[str], *, has_models: bool
 ) -> Iterator[Factors]:
     """Yield an analysis for each arm, task and variation in which something was drawn."""
+    unranked: dict[str, list[str]] = {}
     for task in study.tasks:
         for variation in study.variations:
             for arm in study.arms:
@@ -425,10 +442,15 @@ def _factors(
                 ranking: FactorRanking | None = None
                 if has_models:
                     ranking = rank_factors(drawn, success > 0)
+                    if not ranking.effects:
+                        names = unranked.setdefault(_summary_of_notes(ranking), [])
+                        names.append(f"{arm} on {task}, {variation}")
                 elif _WITHOUT_MODELS not in notes:
                     notes.append(_WITHOUT_MODELS)
                 bins = {name: success_by_factor(v, success > 0) for name, v in drawn.items()}
                 yield Factors(arm, task, variation, ranking, bins)
+    for reason, names in unranked.items():
+        notes.append(f"factors are not ranked: {reason} ({'; '.join(names)})")
 
 
 def _seed_means(table: EpisodeTable, metric: str) -> dict[int, float]:
@@ -456,16 +478,6 @@ def _interval_text(metric: str, interval: tuple[float, float] | None) -> str:
         return ""
     low, high = interval
     return f" [{_value_text(metric, low)}, {_value_text(metric, high)}]"
-
-
-def _estimate_text(metric: str, estimate: SeedEstimate) -> str:
-    text = _value_text(metric, estimate.mean)
-    if estimate.mean_interval is not None:
-        return text + _interval_text(metric, estimate.mean_interval)
-    if estimate.min < estimate.max:  # too few for an interval: the range of the seeds
-        low, high = _value_text(metric, estimate.min), _value_text(metric, estimate.max)
-        return f"{text} ({low} to {high})"
-    return text
 
 
 def _across_row(result: AcrossTasks) -> dict[str, Any]:
@@ -509,27 +521,31 @@ def _pair_row(pairs: Pairs) -> dict[str, Any]:
     return row
 
 
-def _factor_row(factors: Factors) -> dict[str, Any]:
-    """The first factor of an analysis, or why there is none."""
-    row = {
+def _factor_row(factors: Factors, ranking: FactorRanking) -> dict[str, Any]:
+    """The first factor of an analysis."""
+    first = ranking.effects[0]
+    # Bonferroni's correction: the first of several is small by chance more often than one.
+    p_value = min(1.0, first.p_value * len(ranking.effects))
+    return {
         "task": factors.task,
         "variation": factors.variation,
         "arm": factors.arm,
-        "factor": "",
-        "p": "",
-        "note": "",
+        "factor": first.name if p_value < 1 - CONFIDENCE else "none found",
+        "p": f"{p_value:.2g}",
+        "note": _summary_of_notes(ranking),
     }
-    ranking = factors.ranking
-    if ranking is None:
-        return row
-    row["note"] = "; ".join(ranking.notes)
-    if ranking.effects:
-        first = ranking.effects[0]
-        # Bonferroni's correction: the first of several is small by chance more often than one.
-        p_value = min(1.0, first.p_value * len(ranking.effects))
-        row["factor"] = first.name if p_value < 1 - CONFIDENCE else "none found"
-        row["p"] = f"{p_value:.2g}"
-    return row
+
+
+def _summary_of_notes(ranking: FactorRanking) -> str:
+    """The notes of a ranking, with the number of factors that are left out; JSON names them."""
+    left_out = [note for note in ranking.notes if note.endswith(": left out")]
+    others = [note for note in ranking.notes if note not in left_out]
+    if left_out and not others and not ranking.effects:
+        others.append("no drawn factor is left")
+    if left_out:
+        factors = "1 factor" if len(left_out) == 1 else f"{len(left_out)} factors"
+        others.append(f"{factors} left out, as they are constant, incomplete or redundant")
+    return "; ".join(others)
 
 
 def _factor_rows(ranking: FactorRanking) -> list[dict[str, Any]]:

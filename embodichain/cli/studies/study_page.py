@@ -20,7 +20,7 @@ from embodichain.cli.pages.galleries import Still, draw_failures
 from embodichain.cli.pages.headline import Result, seeds_result
 from embodichain.cli.pages.page import render_page
 from embodichain.cli.pages.run_record import read_record
-from embodichain.cli.studies.results import RATES, Factors, StudyResults
+from embodichain.cli.studies.results import RANKED_FACTORS, RATES, Factors, StudyResults
 from embodichain.cli.studies.stages import read_stage
 from embodichain.cli.studies.study_job import StudyFolder
 from embodichain.config.composition.locate import display_path
@@ -209,10 +209,14 @@ def _comparisons(study: Study, results: StudyResults) -> Iterator[Section]:
 
 def _factors(results: StudyResults) -> Section:
     """The first factor of each analysis; models, and success by each factor, folded."""
-    *_, (title, rows) = results.tables()
+    rows = results.ranked_factors()
+    title = RANKED_FACTORS if rows else "success by drawn factor"
     details: list[tuple[str, Sequence[dict[str, Any]]]] = list(results.factor_tables())
     details += [_bins(factors) for factors in results.factors]
-    about = "What was drawn for an episode, ranked by what each factor explains of success."
+    about = "What was drawn for an episode, in groups of its values; the notes below say why "
+    about += "factors are not ranked."
+    if rows:
+        about = "What was drawn for an episode, ranked by what each factor explains of success."
     return Section("factors", title.capitalize(), about=(about,), rows=rows, details=details)
 
 

@@ -45,6 +45,7 @@ from embodichain.utils.array_types import host_ids
 from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
 from embodichain.utils.plugins import with_missing_members
+from embodichain.utils.short_repr import short_repr
 from embodichain.utils.system.memory import require_memory_for
 from embodichain.utils.uncopied import Uncopied
 
@@ -170,6 +171,20 @@ class SimulationManager(Uncopied):
         self._physics_enabled = True
         self.physics_steps_per_control = 1
         self.physics_seconds = 0.0
+
+    def __repr__(self) -> str:
+        """Return N, the device, the time step, and the names of what is in the scene."""
+        return short_repr(
+            self,
+            num_envs=self.num_envs,
+            device=str(self.device),
+            physics_dt=self.sim_config.physics_dt,
+            robots=list(self.robots),
+            articulations=list(self.articulations),
+            rigid_objects=list(self.rigid_objects),
+            lights=list(self.lights),
+            sensors=list(self.sensors),
+        )
 
     @property
     def arena_offsets(self) -> torch.Tensor:

@@ -35,6 +35,7 @@ from embodichain.recording.format.log_error import LONGEST_CHUNK, DamageError, L
 from embodichain.recording.format.parts import first_file, missing_part, part_name
 from embodichain.recording.format.seals import SEAL, check_seal, digest_of
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.short_repr import short_repr
 
 __all__ = ["MAGIC", "ChunkPlace", "LogMessage", "LogReader"]
 
@@ -151,6 +152,16 @@ class LogReader:
         except BaseException:
             self.close()
             raise
+
+    def __repr__(self) -> str:
+        """Return the path, what was found in the file, and whether it is complete."""
+        return short_repr(
+            self,
+            str(self.path),
+            chunks=len(self.chunks),
+            channels=len(self.channels),
+            complete=self.complete,
+        )
 
     def _open(self, path: Path) -> None:
         self._streams.append(path.open("rb"))

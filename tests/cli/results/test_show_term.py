@@ -140,3 +140,16 @@ def test_a_docstring_is_taken_apart() -> None:
 )  # fmt: skip
 def test_types_in_words(hint: Any, words: str) -> None:
     assert type_words(hint) == words
+
+
+def test_a_chain_of_shapes_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    """Not one description after the other, of which only the last is what the term gives."""
+    assert main(["show", "term", "action_rate_l2", "--json"]) == 0
+    (term,) = json.loads(capsys.readouterr().out)["terms"]
+    alias, meaning = term["doc"].split("\n\n")
+    assert alias.startswith("Alias of ``{func: action, shape: [{rate: ")
+    assert " ".join(meaning.split()) == (
+        "The value is `l2` (sum of squares) of `rate` (change since the last control step, column "
+        "by column; 0 in the first step of an episode) of `action` ((N, A) the action as given to "
+        "`step` (after `_preprocess_action`), in the action's units)."
+    )

@@ -78,6 +78,11 @@ def test_a_study_from_its_file_to_its_tables(write_study, capsys) -> None:
         assert float(row["success"] == "True") == played["metrics"]["success"][i]
     assert "difference from zero, on the same starts" in first.out
     assert "2 seeds: an interval over seeds needs at least 5" in first.out
+    title = "mini: mean over 2 seeds (the value of each); an interval needs 5 seeds"
+    report = (folder / "results.md").read_text()
+    assert title in first.out and title in report
+    assert title in (folder / "report.html").read_text()
+    assert re.search(r"\| \d+\.\d% \(seeds \d+\.\d, \d+\.\d\) \|", report)
 
     parquet = pytest.importorskip("pyarrow.parquet")
     table = parquet.read_table(folder / "episodes.parquet").to_pylist()

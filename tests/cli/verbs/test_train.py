@@ -1,12 +1,16 @@
 """What `train` leaves in its folder besides what was learned: the evaluation at its end."""
 
+import base64
 import importlib.util
+import io
 import json
 import os
+import re
 import signal
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from embodichain.cli import main
 from embodichain.cli.jobs.job import execute
@@ -182,7 +186,37 @@ def test_a_training_that_dies_leaves_a_summary(tmp_path, monkeypatch, capsys):
 
 def test_the_report_says_which_episodes_of_the_log_count(trained, tmp_path):
     page = tmp_path / "page.html"
-    assert main(["report", str(trained), "-o", str(page)]) == 0
+    assert main(["report", str(trained), "-o", str(page), "--no-film"]) == 0
     text = page.read_text()
-    assert "8, of which 6 count: the first of each environment" in text
+    assert text.count("8, of which 6 count: the first of each environment") == 2
     assert "<th>counted</th>" in text
+    assert "drawn from the log" not in text and text.count("<figcaption>step ") == 5
+    # Why the result differs from where the curves end.
+    assert "The evaluation plays the mean action" in text
+    summary = trained / "eval.json"
+    drawn = json.loads(summary.read_text()) | {"deterministic": False}
+    (tmp_path / "drawn").mkdir()
+    for path in trained.glob("*.*"):
+        if path.suffix != ".mcap":
+            (tmp_path / "drawn" / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "drawn/eval.json").write_text(json.dumps(drawn))
+    assert main(["report", str(tmp_path / "drawn"), "-q"]) == 0
+    assert "plays the mean action" not in (tmp_path / "drawn/report.html").read_text()
+
+
+def test_the_report_films_an_episode_of_the_policy(trained, tmp_path, capsys, monkeypatch):
+    find_spec = importlib.util.find_spec
+    # It is installed here: without it, the film is a GIF.
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if "ffmpeg" in name else find_spec(name)
+    )
+    page = tmp_path / "page.html"
+    assert main(["report", str(trained), "-o", str(page)]) == 0
+    assert "drawing an episode: --no-film leaves it out" in capsys.readouterr().err
+    text = page.read_text()
+    assert "drawn from the log for this page: environment " in text
+    (film,) = re.findall(r'<img src="data:image/gif;base64,([^"]+)"', text)
+    with Image.open(io.BytesIO(base64.b64decode(film))) as gif:
+        # 12 steps of 0.02 s, at most 25 pictures a second
+        assert (gif.size, gif.n_frames, gif.info["duration"]) == ((480, 360), 6, 40)
+    assert not list(trained.glob("*.gif"))

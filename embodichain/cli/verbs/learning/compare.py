@@ -12,6 +12,7 @@ import click
 
 from embodichain.cli.results.comparison_tables import (
     comparison_table,
+    rate_episodes,
     seed_estimates,
     too_few_seeds,
 )
@@ -85,6 +86,7 @@ def _as_dict(group: Group) -> dict[str, Any]:
         "seeds": [run.seed for run in group.runs],
         "folders": [str(run.folder) for run in group.runs],
         "numbers": estimates,
+        "episodes": rate_episodes(group),
     }
 
 

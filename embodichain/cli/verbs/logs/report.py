@@ -28,12 +28,14 @@ class ReportOptions:
     Attributes:
         run: The folder of a run, a sweep or a study, a folder with runs below it, or ``last``.
         output: Path of a new page; None replaces that of the folder.
+        film: Whether the page of a policy has a film, which takes seconds to draw.
         quiet: Print no progress and no report.
         json: Print the result as one JSON object.
     """
 
     run: str
     output: str | None
+    film: bool
     quiet: bool
     json: bool
 
@@ -49,6 +51,11 @@ class ReportOptions:
 )
 @click.argument("run", metavar="RUN", shell_complete=complete_last)
 @click.option("--output", "-o", metavar="OUT", help="A new file. Default: RUN/report.html.")
+@click.option(
+    "--film/--no-film",
+    default=True,
+    help="Film an episode of a training or an evaluation that has no film. Default: --film.",
+)
 def command(options: ReportOptions) -> None:
     """Write a page about a run or a training, an evaluation, a sweep or a study: RUN is its folder.
 
@@ -77,7 +84,7 @@ def command(options: ReportOptions) -> None:
         if not options.quiet:
             sys.stderr.write(f"{line}\n")
 
-    text = _page(folder, kind, out, say)
+    text = _page(folder, kind, out, say, draws_film=options.film)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_text(out, text, new=is_new_file)
@@ -107,11 +114,13 @@ def _kind_of_page(folder: Path) -> str:
     return "index"
 
 
-def _page(folder: Path, kind: str, out: Path, say: Callable[[str], None]) -> str:
+def _page(
+    folder: Path, kind: str, out: Path, say: Callable[[str], None], *, draws_film: bool
+) -> str:
     if kind == "run":
         from embodichain.cli.pages.run_page import page_of_run
 
-        return page_of_run(folder)
+        return page_of_run(folder, draws_film=draws_film, say=say)
     if kind == "study":
         from embodichain.cli.studies.results import read_results
         from embodichain.cli.studies.study_job import StudyFolder

@@ -52,6 +52,7 @@ from embodichain.lab.sim.configs.scene_cfg import GroundCfg
 from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_rotate
+from embodichain.utils.short_repr import short_repr
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.scene.terrain import Terrain
@@ -91,6 +92,17 @@ class CompiledScene:
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     terrain: Terrain | None = None
+
+    def __repr__(self) -> str:
+        """Return the sizes of the model and the names of what is in it."""
+        return short_repr(
+            self,
+            nq=self.model.nq,
+            nv=self.model.nv,
+            nu=self.model.nu,
+            entities=list(self.entities),
+            sensors=list(self.sensors),
+        )
 
     @property
     def camera_sensors(self) -> dict[str, tuple[int, tuple[int, int]]]:

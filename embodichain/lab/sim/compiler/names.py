@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from embodichain.lab.sim.compiler.alternatives import unmatched_alternatives
@@ -231,7 +231,7 @@ class KnownObject:
     uid: str
     body: str
     prefix: str
-    compile_alone: Callable[[], ObjectModel | None]
+    compile_alone: Callable[[], ObjectModel | None] = field(repr=False)
 
     def names(self, kind: FrameKind) -> tuple[str, ...] | None:
         """Its frames of a kind that have a name; None if its config is wrong."""

@@ -27,6 +27,7 @@ from embodichain.lab.sim.drawing.views import (
     view_of,
 )
 from embodichain.utils.errors import ConfigError, Problem, RenderError
+from embodichain.utils.short_repr import short_repr
 
 __all__ = ["OffscreenRenderer", "hint_at_colors", "need_colors"]
 
@@ -69,6 +70,10 @@ class OffscreenRenderer:
         self._forget.atexit = False
         _opened.add(self)
         _close_at_exit()
+
+    def __repr__(self) -> str:
+        """Return which renderer draws, and with what."""
+        return short_repr(self, kind=self.kind, about=self.about, outputs=list(self.outputs))
 
     def draw(
         self, state: DrawnState, views: Sequence[View], envs: NDArray[np.int64] | None = None

@@ -102,6 +102,10 @@ class Articulation(FrameReads):
         self._qpos = self._qvel = None
         self.parsed = self.drives.parsed = self.parsed.without_model()
 
+    def _repr_facts(self) -> dict[str, Any]:
+        """Return the joints and the number of links."""
+        return {"joints": self.joint_names, "links": len(self.link_names)}
+
     # -- names ---------------------------------------------------------------------------------
 
     def get_joint_ids(self, name: str | None = None, remove_mimic: bool = False) -> list[int]:

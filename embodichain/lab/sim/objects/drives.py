@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.configs.drive_cfg import NO_LIMIT
 from embodichain.utils.arrays import columns_of, field_values, is_host
+from embodichain.utils.short_repr import short_repr
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
@@ -141,6 +142,17 @@ class Drives:
         self._scale = parsed.servos.scale
         self._shares = parsed.servos.shares
         self._scaled = bool((self._scale != 1).any())  # whether units of controls differ
+
+    def __repr__(self) -> str:
+        """Return the articulation, N, and how many joints there are and are driven."""
+        num_envs, num_joints = self.stiffness.shape
+        return short_repr(
+            self,
+            self._handle.uid,
+            num_envs=num_envs,
+            joints=num_joints,
+            driven=len(self.joints),
+        )
 
     def bind(self) -> None:
         """Look up which joints have a drive; called once the scene is compiled."""

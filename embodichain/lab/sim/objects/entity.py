@@ -12,6 +12,7 @@ from embodichain.lab.sim.reads.body_motion import BodyMotion
 from embodichain.lab.sim.reads.frames import BodyFrames, link_frame
 from embodichain.utils.arrays import as_env_ids, as_rows, as_tensor, is_host, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
+from embodichain.utils.short_repr import short_repr
 
 if TYPE_CHECKING:
     import torch
@@ -51,6 +52,14 @@ class Handle(Generic[Index]):
         self.sim = host
         self.num_instances = host.num_envs
         self.device = host.device
+
+    def __repr__(self) -> str:
+        """Return class, name, N and what it consists of, in one line."""
+        return short_repr(self, self.uid, num_envs=self.num_instances, **self._repr_facts())
+
+    def _repr_facts(self) -> dict[str, Any]:
+        """Return what its `repr` says besides name and N; empty facts are left out."""
+        return {}
 
     @property
     def host(self) -> SimContext:
@@ -132,6 +141,11 @@ class TensorReads:
 
     def __init__(self, owner: BatchEntity) -> None:
         self.owner = owner
+
+    def __repr__(self) -> str:
+        """Return class, name of the handle, N and the names of all reads, in one line."""
+        reads = [name for name, read in vars(type(self)).items() if isinstance(read, TensorRead)]
+        return short_repr(self, self.owner.uid, num_envs=self.owner.num_instances, reads=reads)
 
 
 class BatchEntity(Handle["EntityIndex"]):

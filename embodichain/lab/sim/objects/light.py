@@ -45,6 +45,10 @@ class Light(Handle[int]):
         self._intensity: Floats = full((count, 1), float(cfg.intensity))
         self._falloff: Floats = full((count, 1), float(cfg.radius))
 
+    def _repr_facts(self) -> dict[str, Any]:
+        """Return the kind of light."""
+        return {"light_type": self.cfg.light_type}
+
     # -- reads, and writes from checked arrays ---------------------------------------------------
 
     def read_position(self) -> Floats:

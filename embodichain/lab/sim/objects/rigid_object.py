@@ -72,6 +72,10 @@ class RigidObject(BatchEntity):
         if index.variants is not None:
             self.write_shape(np.zeros(self.num_instances, np.int64), None)
 
+    def _repr_facts(self) -> dict[str, Any]:
+        """Return the kind of body and its shape."""
+        return {"body_type": self.cfg.body_type, "shape": self.cfg.shape.shape_type}
+
     @property
     def is_static(self) -> bool:
         """Whether the body never moves."""

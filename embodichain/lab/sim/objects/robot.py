@@ -46,6 +46,11 @@ class Robot(Articulation):
         self._arms.clear()
         super().destroy()
 
+    def _repr_facts(self) -> dict[str, Any]:
+        """Return the joints, the number of links, and how many joints each control part has."""
+        parts = {part: len(names) for part, names in self.control_parts.items()}
+        return {**super()._repr_facts(), "control_parts": parts}
+
     @property
     def control_parts(self) -> dict[str, list[str]]:
         """Joint names of each control part."""

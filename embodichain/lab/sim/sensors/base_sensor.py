@@ -103,6 +103,10 @@ class BaseSensor(Handle[SensorIndex]):
         self.names = plan.names
         self.reads = plan.cfg.readings()
 
+    def _repr_facts(self) -> dict[str, Any]:
+        """Return what it is fixed on or measures, and its measurements."""
+        return {"of": list(self.names), "reads": list(self.reads)}
+
     # -- in the scene --------------------------------------------------------------------------
 
     @classmethod

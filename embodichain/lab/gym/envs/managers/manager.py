@@ -39,6 +39,7 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import (
 from embodichain.utils.arrays import all_finite, is_host
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 from embodichain.utils.named import Named
+from embodichain.utils.short_repr import short_repr
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -440,6 +441,10 @@ class Manager(Generic[C]):
         if problems:
             raise ConfigError(problems)
         self._collect()
+
+    def __repr__(self) -> str:
+        """Return class, section, N and the names of the terms, in one line."""
+        return short_repr(self, self.section, num_envs=self.num_envs, terms=list(self.terms))
 
     def _renew(self, name: str) -> None:
         """Build a term anew: without a state, as at the start of an episode."""

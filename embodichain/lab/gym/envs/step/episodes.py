@@ -13,8 +13,10 @@ import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.utils.array_types import EnvIndex
 from embodichain.utils.arrays import Arrays, tensor_of
+from embodichain.utils.short_repr import short_repr
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
@@ -64,6 +66,11 @@ class Episodes:
         # On a device it is always there: a captured step reads it.
         self.cut: Mask | None = self.success.copy() if self._on_device else None
         self.last_action: NDArray[np.float64] = arrays.full((num_envs, 0), 0.0)
+
+    def __repr__(self) -> str:
+        """Return N and the time limit."""
+        limit = None if self.limit == NO_LIMIT else self.limit
+        return short_repr(self, num_envs=self._num_envs, limit=limit)
 
     @property
     def limit(self) -> int:

@@ -22,6 +22,7 @@ from embodichain.lab.gym.envs.observation import Observation, ObservationLayout
 from embodichain.lab.gym.envs.step.judging import bad_rows
 from embodichain.lab.gym.envs.step.step_result import none_set
 from embodichain.utils.arrays import is_host, to_tensor
+from embodichain.utils.short_repr import short_repr
 from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
 
 if TYPE_CHECKING:
@@ -89,6 +90,14 @@ class ObservationBuffer:
         self._warning_counts: dict[str, int] = {}
         self._built = False
         self._has_terms = False
+
+    def __repr__(self) -> str:
+        """Return N and, once built, the number of columns and the entries."""
+        manager = self._manager
+        if not self._built:
+            return short_repr(self, num_envs=manager.num_envs)
+        entries = [".".join(path) for path in self.layout.paths]
+        return short_repr(self, num_envs=manager.num_envs, width=self.layout.width, entries=entries)
 
     def build(self, obs: Mapping[str, Any]) -> Observation:
         """Make the layout from the first observation; return that observation in it."""

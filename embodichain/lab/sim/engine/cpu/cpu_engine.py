@@ -34,6 +34,7 @@ from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, ModelFields, row_l
 from embodichain.lab.sim.engine.sensor_history import SensorHistory
 from embodichain.utils.array_types import EnvIds
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.short_repr import short_repr
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.uncopied import Uncopied
 
@@ -163,6 +164,19 @@ class HostEngine(Uncopied, Engine):
 
     def __getattr__(self, name: str) -> Any:
         raise AttributeError(f"no {name!r}" if vars(self) else "the simulation was destroyed")
+
+    def __repr__(self) -> str:
+        """Return class, N, sizes of the model, and the number of threads."""
+        if not vars(self):
+            return f"{type(self).__name__}(closed)"
+        return short_repr(
+            self,
+            num_envs=self.num_envs,
+            nq=self.model.nq,
+            nv=self.model.nv,
+            nu=self.model.nu,
+            num_threads=self.num_threads,
+        )
 
     def lose_threads(self, instead: Any) -> None:
         """Use this object instead of the batch, whose threads a forked process does not have."""
