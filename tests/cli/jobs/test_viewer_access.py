@@ -77,9 +77,10 @@ def test_a_given_token_is_in_no_record(viewer, embodichain, tmp_path):
 
 def test_a_training_that_is_resumed_draws_a_token(embodichain, tmp_path):
     words = ["train", "task=cart_pole", "algo.n_steps=8", "algo.batch_size=8", "viewer=web"]
+    words += ["num_envs=2", "eval.episodes=0"]
     done = embodichain(*words, "total_timesteps=16", f"viewer.token={TOKEN}", cwd=tmp_path)
     assert done.returncode == 0 and f"?token={TOKEN}\n" in done.stderr, done.stderr
-    done = embodichain("train", "resume=last", "total_timesteps=256", cwd=tmp_path)
+    done = embodichain("train", "resume=last", "total_timesteps=32", cwd=tmp_path)
     assert done.returncode == 0 and re.search(r"\?token=\S{43}\n", done.stderr), done.stderr
     assert files_with(tmp_path, TOKEN) == []
 

@@ -10,7 +10,8 @@ from embodichain.cli.app import main
 pytestmark = pytest.mark.slow
 
 SHORT = ["num_envs=2", "task.max_episode_steps=20", "record=none", "-q"]
-TRAIN = ["train", "task=cart_pole", "total_timesteps=64", "algo.n_steps=16", *SHORT]
+TRAIN = ["train", "task=cart_pole", "total_timesteps=64", "algo.n_steps=16", "eval.episodes=0"]
+TRAIN += SHORT
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +36,7 @@ def test_a_refused_command_leaves_no_folder(capsys):
     assert len(one) == 1 and latest() == one[0]
     target = os.readlink("outputs/latest")
     # Refused when it is built: the policy is of another task.
-    assert main(["train", "task=cart_pole", "total_timesteps=32", "algo.n_steps=16", *SHORT]) == 0
+    assert main(TRAIN) == 0
     two = folders()
     assert main(["eval", "last", "task=reach", "num_envs=1", "record=none", "-q"]) == 2
     assert "cart_pole" in capsys.readouterr().err
@@ -44,7 +45,7 @@ def test_a_refused_command_leaves_no_folder(capsys):
 
 
 def test_verbs_say_which_run_last_is_and_the_report_shows_all(capsys):
-    assert main([*TRAIN, "eval.episodes=0"]) == 0
+    assert main(TRAIN) == 0
     (trained,) = folders()
     capsys.readouterr()
     loud = [word for word in SHORT[1:] if word != "-q"]
@@ -69,7 +70,7 @@ def test_verbs_say_which_run_last_is_and_the_report_shows_all(capsys):
 def test_after_a_sweep_last_is_the_sweep(capsys):
     words = [word for word in TRAIN if word != "-q"]
     sweep = ["-m", "seed=1,2", "hydra/launcher=basic"]
-    assert main([*words, *sweep, "eval.episodes=0", "-q"]) == 0
+    assert main([*words, *sweep, "-q"]) == 0
     capsys.readouterr()
     assert main(["compare", "last", "--json"]) == 0
     said = capsys.readouterr()
@@ -108,7 +109,7 @@ def test_a_folder_named_by_the_time_is_the_only_one(capsys):
 
 
 def test_validate_and_show_say_which_run_last_is(capsys):
-    assert main([*TRAIN, "eval.episodes=0"]) == 0
+    assert main(TRAIN) == 0
     (trained,) = folders()
     capsys.readouterr()
     loud = [word for word in SHORT[:-1] if word != "record=none"]

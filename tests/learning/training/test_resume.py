@@ -30,10 +30,17 @@ pytestmark = pytest.mark.slow
 REACH = ("task=reach", "task.max_episode_steps=7", "num_envs=4", "sim.num_threads=1", "seed=1")
 PPO = ("algo.n_steps=8", "algo.batch_size=16", "algo.n_epochs=2", "checkpoint.every_steps=1")
 A2C = ("algo=a2c", "algo.n_steps=8", "checkpoint.every_steps=1")
+RSL_RL = (
+    *("algo=rsl_rl_ppo", "algo.num_steps_per_env=8", "algo.num_mini_batches=2"),
+    "algo.hidden_dims=[8]",
+)
 LSTM = (
     *("algo=recurrent_ppo", "algo.n_steps=8", "algo.batch_size=16", "algo.n_epochs=2"),
     *("algo.policy_kwargs={lstm_hidden_size: 8, net_arch: [8]}", "checkpoint.every_steps=1"),
 )
+OFF = ("algo.learning_starts=16", "algo.batch_size=16", "algo.policy_kwargs.net_arch=[8]")
+KEEP = "checkpoint.replay_buffer=true"
+ONCE = "checkpoint.every_steps=64"
 BOTH = ("algo.normalize=both",)
 FOUR, TWO = "total_timesteps=128", "total_timesteps=64"
 
@@ -46,6 +53,14 @@ def folder(tmp_path, name):
     path = tmp_path / name
     path.mkdir()
     return path
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """The folder of a finished training with PPO; tests that change it take a copy."""
+    run = tmp_path_factory.mktemp("short")
+    train(config(*PPO, TWO), run)
+    return run
 
 
 def everything(run):
@@ -138,7 +153,7 @@ def content(path):
     "algo",
     [
         (*PPO[:3], *BOTH, "algo.learning_rate=lin_1e-3"),
-        ("algo=rsl_rl_ppo", "algo.num_steps_per_env=8", "algo.num_mini_batches=2"),
+        RSL_RL,
         pytest.param(
             (
                 *("algo=sac", "algo.normalize=obs", "algo.buffer_size=500"),
@@ -147,7 +162,7 @@ def content(path):
                     "algo.batch_size=16",
                     "algo.policy_kwargs.net_arch=[8]",
                 ),
-                "checkpoint.replay_buffer=true",
+                *("algo.gradient_steps=1", "checkpoint.replay_buffer=true"),
             ),
             marks=pytest.mark.unmeasured,
         ),
@@ -212,23 +227,31 @@ def test_what_was_chosen_for_the_first_part_stays(tmp_path, before):
     assert given.tree["algo"]["gradient_steps"] == 3
 
 
-@pytest.mark.parametrize("left", [None, "failed"], ids=["killed", "disk full"])
-@pytest.mark.parametrize(
-    "algo",
-    [
-        (*PPO, "algo.normalize=both"),
-        ("algo=sac", "algo.learning_starts=32"),
-        ("algo=rsl_rl_ppo", "algo.num_steps_per_env=8", "algo.num_mini_batches=2"),
-    ],
-    ids=["ppo", "sac", "rsl_rl"],
-)
-def test_a_training_whose_results_were_not_written_is_ended(tmp_path, algo, left):
-    """After its last checkpoint: by a kill, or by a full disk."""
-    if "rsl_rl" in algo[0]:
+ENDED = {
+    "ppo": (*PPO, "algo.normalize=both"),
+    "sac": ("algo=sac", "algo.learning_starts=32", "algo.policy_kwargs.net_arch=[8]"),
+    "rsl_rl": RSL_RL,
+}
+"""Algorithm -> what a training with it is told; with rollouts of 32 steps, 72 take 96."""
+
+
+@pytest.fixture(scope="module", params=ENDED)
+def ended(request, tmp_path_factory):
+    """What a training is told, and the folder that it finished in."""
+    if request.param == "rsl_rl":
         pytest.importorskip("rsl_rl")
-    job = (*algo, "total_timesteps=72")  # with rollouts of 32, it takes 96
-    whole, second = (folder(tmp_path, name) for name in ("whole", "second"))
-    train(config(*job), whole)
+    run = tmp_path_factory.mktemp("ended")
+    job = (*ENDED[request.param], "total_timesteps=72")
+    train(config(*job), run)
+    return job, run
+
+
+@pytest.mark.parametrize("left", [None, "failed"], ids=["killed", "disk full"])
+def test_a_training_whose_results_were_not_written_is_ended(tmp_path, ended, left):
+    """After its last checkpoint: by a kill, or by a full disk."""
+    job, finished = ended
+    whole = Path(shutil.copytree(finished, tmp_path / "whole"))
+    second = folder(tmp_path, "second")
     wanted = same_log_columns(whole)
     if left is None:
         (whole / "summary.json").unlink()
@@ -254,13 +277,12 @@ def in_zip(path, name):
     return {key: value.numpy().tobytes() for key, value in state.items()}
 
 
-def test_a_finished_training_can_be_made_longer(tmp_path):
-    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
+def test_a_finished_training_can_be_made_longer(tmp_path, short):
+    whole, second = (folder(tmp_path, name) for name in ("whole", "second"))
     train(config(*PPO, FOUR), whole)
-    train(config(*PPO, TWO), first)
     with pytest.raises(ConfigError, match="has 64 steps already"):
-        train(config(*PPO, TWO, f"resume={first}"), second)
-    train(config(*PPO, FOUR, f"resume={first}"), second)
+        train(config(*PPO, TWO, f"resume={short}"), second)
+    train(config(*PPO, FOUR, f"resume={short}"), second)
     np.testing.assert_array_equal(everything(second), everything(whole))
 
 
@@ -275,9 +297,8 @@ def test_terms_with_a_memory_go_on_too(tmp_path):
     np.testing.assert_array_equal(everything(second), everything(whole))
 
 
-def test_a_broken_checkpoint_is_passed_over(tmp_path):
-    run = folder(tmp_path, "run")
-    train(config(*PPO, TWO), run)
+def test_a_broken_checkpoint_is_passed_over(tmp_path, short):
+    run = Path(shutil.copytree(short, tmp_path / "run"))
     final, step = run / "checkpoints/final.zip", run / "checkpoints/step_000000000032.zip"
     assert find_resumable(run)[0] == final
     shutil.copy(state_path(step), state_path(final))  # killed between the two files
@@ -287,9 +308,8 @@ def test_a_broken_checkpoint_is_passed_over(tmp_path):
         find_resumable(run)
 
 
-def test_a_state_of_other_code_is_refused(tmp_path):
-    first = folder(tmp_path, "first")
-    train(config(*PPO, TWO), first)
+def test_a_state_of_other_code_is_refused(tmp_path, short):
+    first = Path(shutil.copytree(short, tmp_path / "first"))
     path, state = find_resumable(first)
     del state["training"]["env"]["streams"]["seed"]
     write_tree(state_path(path), state)
@@ -298,16 +318,12 @@ def test_a_state_of_other_code_is_refused(tmp_path):
 
 
 def test_off_policy_trainings_go_on(tmp_path):
-    sac = ("algo=sac", "algo.learning_starts=16", "algo.buffer_size=500", "algo.normalize=obs")
+    sac = ("algo=sac", *OFF, "algo.buffer_size=500", "algo.normalize=obs", ONCE)
     first, second = folder(tmp_path, "first"), folder(tmp_path, "second")
     train(config(*sac, TWO), first)
     summary = train(config(*sac, FOUR, f"resume={first}"), second)
     assert summary.env_steps == 128
     assert not np.array_equal(everything(first), everything(second))
-
-
-KEEP = "checkpoint.replay_buffer=true"
-OFF = ("algo.learning_starts=16", "algo.batch_size=16", "algo.policy_kwargs.net_arch=[8]")
 
 
 def kept(run, name="final"):
@@ -326,7 +342,7 @@ def kept(run, name="final"):
 )
 def test_with_its_replay_buffer_resumed_equals_uninterrupted(tmp_path, algo):
     whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
-    lines = (*algo, *OFF, KEEP)
+    lines = (*algo, *OFF, KEEP, ONCE)
     train(config(*lines, FOUR), whole)
     train(config(*lines, "total_timesteps=72"), first)
     train(config(*lines, FOUR, f"resume={first}"), second)
@@ -461,7 +477,14 @@ def test_only_few_keys_may_change(tmp_path, monkeypatch, capsys):
 
 
 def test_a_buffer_with_less_memory_goes_on_too(tmp_path, caplog):
-    lines = ("algo=sac", "algo.buffer_size=100", "algo.optimize_memory_usage=true", *OFF, KEEP)
+    lines = (
+        "algo=sac",
+        "algo.buffer_size=100",
+        "algo.optimize_memory_usage=true",
+        *OFF,
+        KEEP,
+        ONCE,
+    )
     whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
     train(config(*lines, FOUR), whole)
     assert "an episode that is cut off counts as terminated" in caplog.text
