@@ -26,6 +26,7 @@ ALLOWED = {
     ("cli/sweeps/clusters/ray.py", "pickle.loads"),
     # Classes made of PyYAML's safe one.
     ("compat/gym_config/file.py", "yaml.load(_Loader)"),
+    ("config/composition/yaml_words.py", "yaml.load(_Loader)"),
 }
 """(file, call) that are safe, and why."""
 PICKLES = ("pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal")
@@ -83,7 +84,9 @@ def is_unsafe(call: ast.Call) -> bool:
 
 def loader_of(call: ast.Call) -> str:
     """The loader of a call of `yaml.load`."""
-    return name_of(call.args[1]) if len(call.args) > 1 else "no loader"
+    by_name = [k.value for k in call.keywords if k.arg == "Loader"]
+    loader = [*call.args[1:2], *by_name]
+    return name_of(loader[0]) if loader else "no loader"
 
 
 def modules() -> Iterator[Path]:

@@ -6,7 +6,6 @@ An array; a preemption, a requeue and a kill in one sweep; the same sweep starte
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
