@@ -296,7 +296,7 @@ def _leg_guesses(robot: RobotFile) -> Iterator[Guess]:
         yield Guess(
             "names.thighs",
             _listed(thighs),
-            "the upper links of the legs, which should not hit anything",
+            "links of the legs above their last joints: they should not hit anything",
         )
 
 
@@ -391,9 +391,13 @@ def _motors(robot: RobotFile) -> dict[str, float]:
 
 def _knows_efforts(robot: RobotFile) -> bool:
     """Whether a file has limits of efforts, except where it says 0."""
-    limits = robot.parsed.qf_limits
-    named = zip(robot.parsed.joint_names, limits, strict=True)
-    unlimited = {name for name, limit in named if limit >= 1e9}
+    parsed = robot.parsed
+    limits = {
+        name: limit
+        for i, (name, limit) in enumerate(zip(parsed.joint_names, parsed.qf_limits, strict=True))
+        if i not in parsed.mimic_ids
+    }
+    unlimited = {name for name, limit in limits.items() if limit >= 1e9}
     return len(unlimited) < len(limits) and unlimited <= {*robot.joints_without_effort}
 
 

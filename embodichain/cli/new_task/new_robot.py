@@ -253,7 +253,9 @@ def read_robot_file(fpath: str, feet: Sequence[str] = (), *, shall_walk: bool = 
         legs=tuple(legs),
         wheels=tuple(wheels),
         joints_without_effort=tuple(
-            name for name in parsed.joint_names if name in file.limits.zero_effort
+            parsed.joint_names[i]
+            for i in active
+            if parsed.joint_names[i] in file.limits.zero_effort
         ),
         why_home=why_home,
         why_floating=why_floating,
