@@ -18,9 +18,14 @@ __all__ = ["try_zero_actions"]
 
 _STEPS = 10
 """Control steps in which divergence is looked for."""
+_STEPS_WITH_CAMERAS = 3
+"""Likewise, where each step draws pictures, of which a training has many."""
 _STARTS = 16
 """Episodes whose first step is judged."""
+_HELD = ("all", "min")
+"""Reductions of a success that lasts for a whole episode, and may begin with it."""
 _MOST_RESETS = 8
+"""Resets that these take at most, of a task with few environments."""
 
 
 @dataclass(slots=True)
@@ -28,7 +33,7 @@ class _Trial:
     """What the steps of a trial have shown.
 
     Attributes:
-        diverged: (N,) environments that ended in every step so far, or diverged in one.
+        diverged: (N,) environments that diverged in a step so far.
         successes: For each start, (N,) whether its first step was a success.
     """
 
@@ -48,12 +53,19 @@ def try_zero_actions(env: BaseEnv) -> list[Problem]:
     Raises:
         ConfigError: All environments diverge: nothing can be learned or played.
     """
-    from embodichain.lab.gym.policies import zero
+    from gymnasium.spaces import Box
 
+    from embodichain.lab.gym.policies import zero
+    from embodichain.lab.sim.sensors.camera import Camera
+
+    if not isinstance(env.single_action_space, Box):
+        return []  # of a class with actions of its own: nobody knows which of them does nothing
+    has_cameras = any(isinstance(sensor, Camera) for sensor in env.sim.sensors.values())
+    num_steps = _STEPS_WITH_CAMERAS if has_cameras else _STEPS
     trial = _Trial(np.zeros(env.num_envs, np.bool_))
     obs, _ = env.reset()
     resets = 1
-    for step in range(_STEPS):
+    for step in range(num_steps):
         obs, _, _, _, info = env.step(zero(obs, env))
         if step == 0:
             trial.successes.append(_flags(info, "success"))
@@ -85,7 +97,7 @@ def _judges_arrival(env: BaseEnv) -> bool:
     """Whether the task has a success that an episode does not begin with by its meaning."""
     metric = env.cfg.metrics.get("success")
     if metric is not None:
-        return metric.reduce != "all"
+        return metric.reduce not in _HELD
     return any(term.kind == "success" for term in env.cfg.terminations.values())
 
 
@@ -101,12 +113,15 @@ def _success_path(env: BaseEnv) -> str:
 
 def _divergence(env: BaseEnv, steps: int) -> list[Problem]:
     """The mistakes of a task in which every environment diverges."""
-    when = f"in all {env.num_envs} environments within {steps} control steps of zero actions"
-    terms = env.not_finite_terms
-    if terms:
-        return [
-            Problem(f"task.{path}", f"not finite {when}; such steps do not count") for path in terms
-        ]
+    where = f"in all {env.num_envs} environments" if env.num_envs > 1 else "in the environment"
+    when = f"{where} within {steps} control step{'s' * (steps > 1)} of zero actions"
+    problems: list[Problem] = []
+    for term in env.not_finite_terms:
+        # What is not a term is the sum of the rewards, of a class's hooks.
+        path = f"task.{term}" if "." in term else "task.rewards"
+        problems.append(Problem(path, f"not finite {when}; no such step counts"))
+    if problems:
+        return problems
     fact = f"the physics diverges {when}"
     advice = (
         "use a shorter time step (usual are 0.001 to 0.01 s), smaller gains or larger masses, "
