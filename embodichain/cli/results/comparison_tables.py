@@ -31,6 +31,7 @@ _COLUMNS = {
 }
 _EPISODES = {"success": "episodes", "eval success": "eval episodes"}
 """Column of a rate -> the column behind it, how many episodes of each run it is from."""
+_RATES = [_COLUMNS[title] for title in _EPISODES]
 _COSTS = ("steps/s", "seconds", "env steps")
 """Columns that are not results: without an interval, the mean alone is shown."""
 
@@ -46,12 +47,13 @@ def comparison_table(groups: Sequence[Group]) -> tuple[str, list[dict[str, Any]]
         for title, name in _COLUMNS.items()
         if any(group_estimates[name] for group_estimates in estimates)
     }
+    counted = {name for group in groups for name in rate_episodes(group)}
     rows = []
     for group, label, group_estimates in zip(groups, labels, estimates, strict=True):
         row: dict[str, Any] = {"runs": label, "seeds": len(group.runs)}
         for title, name in columns.items():
             row[title] = _cell(title, group_estimates[name])
-            if title in _EPISODES:
+            if name in counted:
                 row[_EPISODES[title]] = _range_text(rate_episodes(group).get(name, []))
         rows.append(row)
     results = []
@@ -102,11 +104,14 @@ def seed_estimates(group: Group) -> dict[str, SeedEstimate | None]:
 
 
 def rate_episodes(group: Group) -> dict[str, list[int]]:
-    """Return the number of episodes of each run behind each rate of `seed_estimates`."""
+    """Return the number of episodes of each run behind each rate of `seed_estimates`.
+
+    Runs of which that is not known are left out.
+    """
     episodes: dict[str, list[int]] = {}
     for run in group.runs:
         for name, trials in run.trials.items():
-            if name in _COLUMNS.values():
+            if trials and name in _RATES:
                 episodes.setdefault(name, []).append(trials)
     return episodes
 

@@ -114,13 +114,14 @@ def test_band_by_hand():
         band([curves[0], Curve(np.array([30.0]), np.array([1.0]))])
 
 
-def test_picture_and_table(make_run, tmp_path, capsys):
+def test_picture_and_table(make_run, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "140")  # no cell is folded
     folders = [str(make_run(f"s{i}", seed=i, success=0.5 + 0.1 * i)) for i in range(3)]
     out = tmp_path / "curves.png"
     assert main(["compare", *folders, "-o", str(out)]) == 0
     text = capsys.readouterr().out
     assert "reach ppo" in text
-    assert "60.0% (50.0, 60.0, 70.0)" in text
+    assert "60.0% (seeds 50.0, 60.0, 70.0)" in text
     assert "no interval from 3 seeds, it needs at least 5" in text
     picture = np.asarray(Image.open(out).convert("RGB"))
     assert picture.std() > 5  # something is drawn
