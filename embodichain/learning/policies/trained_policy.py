@@ -20,6 +20,7 @@ from embodichain.learning.checkpoints.task_digest import (
 )
 from embodichain.learning.spaces import flat_observation, observation_columns
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.short_repr import short_repr
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -53,6 +54,10 @@ class TrainedPolicy(ABC):
         self.changed: tuple[Change, ...] = ()
         self.stage: dict[str, Any] | None = None
         self._env: BaseEnv | None = None
+
+    def __repr__(self) -> str:
+        """Return class, name and observation group, in one line."""
+        return short_repr(self, self.name, group=self.group)
 
     def check(self, env: BaseEnv) -> None:
         """Check that the policy fits an environment.

@@ -20,6 +20,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.closed import require_open
+from embodichain.lab.gym.envs.describing import describe
 from embodichain.lab.gym.envs.observation import as_array, on_host
 from embodichain.lab.gym.envs.step.step_result import none_set
 from embodichain.learning.spaces import (
@@ -142,6 +143,16 @@ class SB3VecEnv(VecEnv):
         self._packs = self.base.device.type != "cpu"
         self.step_seconds = 0.0
         """Wall time spent in `step` so far."""
+
+    def __repr__(self) -> str:
+        """Return the task, N and the spaces, in one line, as of the batch."""
+        return describe(
+            type(self).__name__,
+            self.base.task_name,
+            f"num_envs={self.num_envs}",
+            action=self.action_space,
+            observation=self.observation_space,
+        )
 
     def _require(self, env: gym.Env[Any, Any]) -> None:
         """Refuse an environment that cannot be stepped as one of Stable-Baselines3."""

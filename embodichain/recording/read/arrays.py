@@ -25,6 +25,7 @@ from embodichain.recording.read.trajectory import (
     runs,
 )
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.short_repr import short_repr
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -63,6 +64,11 @@ class LogArrays:
     control_dt: float
     columns: Mapping[str, list[Column]]
     values: Mapping[str, NDArray[Any]]
+
+    def __repr__(self) -> str:
+        """Return T, N and the shapes of the fields, in one line."""
+        shapes = {field: values.shape for field, values in self.values.items()}
+        return short_repr(self, steps=len(self.steps), num_envs=len(self.env_ids), fields=shapes)
 
     def __getitem__(self, field: str) -> NDArray[Any]:
         """The array of a field.

@@ -33,6 +33,7 @@ from embodichain.recording.write.log_writer import LogWriter
 from embodichain.recording.write.step_buffer import StepBuffer
 from embodichain.recording.write.writing import Writing, delayed_signals
 from embodichain.utils.array_types import EnvIds, EnvIndex, host_ids
+from embodichain.utils.short_repr import short_repr
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
@@ -212,6 +213,11 @@ class McapRecorder(StepObserver):
         # A program that exits without closing the recorder still leaves a complete log.
         self._at_exit = partial(_close_if_alive, weakref.ref(self))
         atexit.register(self._at_exit)
+
+    def __repr__(self) -> str:
+        """Return the file and what is recorded, in one line."""
+        options = self._options
+        return short_repr(self, str(self._path), state=options.state, every=options.every)
 
     @property
     def stats(self) -> RecordStats:
