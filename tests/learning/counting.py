@@ -23,6 +23,7 @@ class CountingEnv(gym.Env):
         self.num_envs = len(ends)
         self.device, self.arrays = torch.device("cpu"), Arrays()
         self.render_mode = None
+        self.is_closed = False
         self.metadata = {"autoreset_mode": AutoresetMode[mode]}
         self.ends = np.asarray(ends)
         self.limit = self.max_episode_steps = limit
