@@ -1,5 +1,10 @@
-"""Promise 2: environment *i* makes the same bytes whatever num_envs and the threads are."""
+"""Promise 2: environment *i* makes the same bytes whatever num_envs and the threads are.
 
+The first environments of each task are made anew, as a user makes them; the others share a scene
+that was compiled for another number of them.
+"""
+
+import functools
 import hashlib
 
 import numpy as np
@@ -8,6 +13,8 @@ import torch
 
 import embodichain
 from embodichain.config import list_options
+from embodichain.config.environments.factory import make_env
+from embodichain.config.resolved import compile_scene_of, resolve
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
@@ -31,18 +38,29 @@ def tensors(tree):
             yield from tensors(value)
 
 
-def history(task, num_envs, threads, persistent):
+def make_anew(task, num_envs, threads, persistent):
+    overrides = [
+        *("seed=11", "task.max_episode_steps=9", f"sim.num_threads={threads}"),
+        f"sim.persistent={str(persistent).lower()}",
+    ]
+    return embodichain.make(task, num_envs=num_envs, overrides=overrides)
+
+
+@functools.lru_cache(maxsize=3)
+def compiled(task):
+    resolved = resolve([f"task={task}", "num_envs=1", "seed=11", "task.max_episode_steps=9"])
+    return resolved, compile_scene_of(resolved)
+
+
+def make_of_shared_scene(task, num_envs, threads, persistent):
+    resolved, scene = compiled(task)
+    sim = {**resolved.tree["sim"], "num_threads": threads, "persistent": persistent}
+    return make_env(resolved.changed(num_envs=num_envs, sim=sim), compiled_scene=scene)
+
+
+def history(task, num_envs, threads, persistent, make=make_of_shared_scene):
     """Digest of everything each environment produced, by environment."""
-    env = embodichain.make(
-        task,
-        num_envs=num_envs,
-        overrides=[
-            "seed=11",
-            "task.max_episode_steps=9",
-            f"sim.num_threads={threads}",
-            f"sim.persistent={str(persistent).lower()}",
-        ],
-    )
+    env = make(task, num_envs, threads, persistent)
     digests = [hashlib.blake2b() for _ in range(num_envs)]
 
     def take(envs, *items):
@@ -72,7 +90,8 @@ def history(task, num_envs, threads, persistent):
 
 @pytest.fixture(scope="module")
 def reference():
-    return {task: history(task, 64, 2, True) for task in ("random_reach", "push_cube", "reach")}
+    tasks = ("random_reach", "push_cube", "reach")
+    return {task: history(task, 64, 2, True, make_anew) for task in tasks}
 
 
 @pytest.mark.parametrize("task", ["random_reach", "push_cube", "reach"])
@@ -98,7 +117,7 @@ OTHERS = sorted({*list_options("task")} - {"random_reach", "push_cube", "reach",
 
 @pytest.mark.parametrize("task", OTHERS)
 def test_every_other_task_too(task):
-    reference = history(task, 6, 2, True)
+    reference = history(task, 6, 2, True, make_anew)
     assert len(set(reference)) == 6
     assert history(task, 1, 1, False) == reference[:1]
     assert history(task, 3, 2, False) == reference[:3]

@@ -1,10 +1,14 @@
-"""Drives of every shipped task: nothing diverges under random actions, and robots rest at rest."""
+"""Drives of every shipped task: nothing diverges under random actions, and robots rest at rest.
+
+Both tests of a task share its scene, compiled once.
+"""
 
 import numpy as np
 import pytest
 
-import embodichain
 from embodichain.config import list_options
+from embodichain.config.environments.factory import make_env
+from embodichain.config.resolved import compile_scene_of, resolve
 from embodichain.lab.gym.policies import random
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
@@ -15,12 +19,22 @@ CAMERAS = {"lift_vision": ("room", "wrist"), "reach_vision": ("front", "side")}
 """They move nothing, and drawing their pictures takes most of the time."""
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_ten_thousand_steps_of_random_actions_do_not_diverge(task):
-    without = [
-        f"~task.{of}.{c}" for c in CAMERAS.get(task, ()) for of in ("sensors", "observations")
-    ]
-    env = embodichain.make(task, num_envs=ENVIRONMENTS, overrides=["seed=0", *without])
+@pytest.fixture(scope="module", params=TASKS)
+def make(request):
+    """Makes the environment of a task."""
+    cameras = CAMERAS.get(request.param, ())
+    without = [f"~task.{of}.{name}" for name in cameras for of in ("sensors", "observations")]
+    resolved = resolve([f"task={request.param}", "seed=0", *without])
+    scene = compile_scene_of(resolved)
+
+    def make(num_envs):
+        return make_env(resolved.changed(num_envs=num_envs), compiled_scene=scene)
+
+    return make
+
+
+def test_ten_thousand_steps_of_random_actions_do_not_diverge(make):
+    env = make(ENVIRONMENTS)
     obs, _ = env.reset()
     reached = np.zeros_like(env.single_action_space.low), np.zeros_like(env.single_action_space.low)
     for _ in range(STEPS // ENVIRONMENTS):
@@ -34,12 +48,11 @@ def test_ten_thousand_steps_of_random_actions_do_not_diverge(task):
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_a_robot_that_is_told_nothing_comes_to_rest(task):
-    env = embodichain.make(task, num_envs=1, overrides=["seed=0"])
+def test_a_robot_that_is_told_nothing_comes_to_rest(make):
+    env = make(1)
     drives = env.robot.drives
     if not (drives.stiffness > 0).any():
-        assert task.startswith("cart_pole")  # pushed by efforts: nothing holds it
+        assert list(env.sim.robots) == ["cart_pole"]  # pushed by efforts: nothing holds it
         env.close()
         return
     env.reset()

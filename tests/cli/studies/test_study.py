@@ -40,6 +40,11 @@ compare: {metrics: [return]}
 """
 ONE_BY_ONE = "hydra/launcher=basic"
 DRY = "--dry-run"
+FALLEN_SOON = (
+    "evaluate.overrides=['task.terminations.fallen.shape.outside=[-0.06,0.06]',"
+    "'task.metrics.success.params.terms.upright.shape.within=[-0.06,0.06]']"
+)
+"""Short episodes that fail, and short films of them."""
 UNRECORDED = "evaluate.record=false"  # no log, so no pictures and films of failed episodes
 
 
@@ -63,7 +68,7 @@ def episodes_of(folder: Path) -> list[dict[str, Any]]:
 
 def test_a_study_from_its_file_to_its_tables(write_study, capsys) -> None:
     folder = write_study("mini", MINI)
-    assert main(["study", "mini", ONE_BY_ONE]) == 0
+    assert main(["study", "mini", FALLEN_SOON, ONE_BY_ONE]) == 0
     first = capsys.readouterr()
     rows = episodes_of(folder)
     keys = [(r["arm"], r["seed"], r["variation"], r["episode"]) for r in rows]
@@ -95,7 +100,7 @@ def test_a_study_from_its_file_to_its_tables(write_study, capsys) -> None:
     assert films and logs and all((folder / path).is_file() for path in films | logs)
 
     # The same once more: nothing runs, and the tables are the same.
-    assert main(["study", "mini", ONE_BY_ONE]) == 0
+    assert main(["study", "mini", FALLEN_SOON, ONE_BY_ONE]) == 0
     again = capsys.readouterr()
     assert ": begins" in first.err and "eval-clean" not in again.err
     assert again.out == first.out
@@ -137,7 +142,7 @@ def test_arms_with_one_seed_begin_in_the_same_states(write_study) -> None:
 
     folder = write_study("mini", MINI)
     few = ("seeds=[3]", "evaluate.episodes=2", "~evaluate.variations.clean")
-    assert main(["study", "mini", *few, ONE_BY_ONE]) == 0
+    assert main(["study", "mini", *few, FALLEN_SOON, ONE_BY_ONE]) == 0
     starts = []
     for arm in ("zero", "random"):
         log = open_log(folder / f"jobs/{arm}-cart_pole-3/eval-noisy/rollout.mcap")
