@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.metadata
+import logging
 import os
 import platform
 import re
@@ -61,6 +62,7 @@ STUDY = "study.json"
 LATEST = "latest"
 _RUNNING = "running"
 """Name of the temporary file that a folder has while its run lasts."""
+_log = logging.getLogger(__name__)
 _USED = (
     "{} contains a run already, and a folder is used for one run only. To repeat a command until "
     "it is finished, make it a sweep of one job: -m hydra.sweep.dir=FOLDER"
@@ -185,13 +187,17 @@ def marked_as_running(folder: Path) -> Iterator[None]:
     The file of a process that was killed is removed by `remove_abandoned`.
     """
     mark = folder / temporary_name(_RUNNING)
-    with contextlib.suppress(OSError):  # the run itself says what is wrong with its folder
+    try:
         mark.touch()
+    except OSError as error:  # a run is worth more than its mark
+        _log.warning("others are not told that this run is going: %s", error)
     try:
         yield
     finally:
-        with contextlib.suppress(OSError):
+        try:
             mark.unlink(missing_ok=True)
+        except OSError as error:  # it says nothing once the process has ended
+            _log.warning("%s is left: %s", mark.name, error)
 
 
 def is_running(folder: str | Path) -> bool:

@@ -86,7 +86,10 @@ def merged(problems: Iterable[Problem]) -> list[Problem]:
     further_paths: dict[object, list[str]] = {}
     for number, problem in enumerate(problems):
         has_line = _LINE.search(problem.source) is not None
-        place: object = (problem.source, problem.message, problem.hint) if has_line else number
+        # Keys that share an anchor end alike; of two that are missing on a line, each is a mistake.
+        name = problem.path.rpartition(".")[2]
+        text = (problem.message, problem.hint)
+        place: object = (problem.source, name, text) if has_line else number
         if place not in firsts:
             firsts[place] = problem
         elif problem.path not in (firsts[place].path, *further_paths.get(place, ())):

@@ -96,7 +96,7 @@ def test_the_reason_is_named(embodichain, tmp_path, variables, why):
     env = {"WAYLAND_DISPLAY": "", **variables}
     done = embodichain("run", "task=cart_pole", "video=true", cwd=tmp_path, env=env)
     assert done.returncode == 2
-    line = done.stderr.splitlines()[1]
+    line = done.stderr.splitlines()[0]
     assert line.startswith("error: video: no picture can be made here ") and why in line
     assert PACKAGES in line
 

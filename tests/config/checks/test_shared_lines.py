@@ -28,18 +28,20 @@ def test_an_anchor_with_a_wrong_link(
 def test_what_is_merged() -> None:
     first = Problem("a.x", "wrong", "Did you mean 'y'?", source="file.yaml:3")
     same = Problem("b.x", "wrong", "Did you mean 'y'?", source="file.yaml:3")
+    other_key = Problem("a.z", "wrong", "Did you mean 'y'?", source="file.yaml:3")
     other_text = Problem("b.x", "wrong, too", source="file.yaml:3")
     other_line = Problem("b.x", "wrong", "Did you mean 'y'?", source="file.yaml:4")
     typed = Problem("a.x", "wrong", source="command line")
     typed_too = Problem("b.x", "wrong", source="command line")
-    problems = [first, same, other_text, other_line, typed, typed_too]
+    problems = [first, same, other_key, other_text, other_line, typed, typed_too]
     assert [str(problem) for problem in merged(problems)] == [
         "file.yaml:3: a.x: wrong Did you mean 'y'? (b.x reads the same line)",
+        "file.yaml:3: a.z: wrong Did you mean 'y'?",
         "file.yaml:3: b.x: wrong, too",
         "file.yaml:4: b.x: wrong Did you mean 'y'?",
         "command line: a.x: wrong",
         "command line: b.x: wrong",
     ]
     error = ConfigError(problems)
-    assert len(error.problems) == 6  # each key has its own, for programs
-    assert str(error).count("file.yaml:3") == 2
+    assert len(error.problems) == 7  # each key has its own, for programs
+    assert str(error).count("file.yaml:3") == 3
