@@ -104,7 +104,9 @@ def test_task_file_says_what_it_is(task):
 
 
 def test_nothing_in_a_task_looks_wrong(task):
-    assert [str(note) for note in task.resolved.notes] == []
+    notes = [str(note) for note in task.resolved.notes]
+    # An armature that was raised is told of, but right: a new task need not have it.
+    assert [note for note in notes if "drive_pros.armature: raised to" not in note] == []
     env = task.make(2, 1)
     assert try_zero_actions(env) == []
     env.close()
