@@ -15,7 +15,14 @@ from torch import Tensor
 
 from embodichain.utils.errors import EmbodichainError
 
-__all__ = ["Learning", "NotFiniteError", "check_finite", "refused_by_torch", "told_apart"]
+__all__ = [
+    "Learning",
+    "NoValidStepError",
+    "NotFiniteError",
+    "check_finite",
+    "refused_by_torch",
+    "told_apart",
+]
 
 _LARGEST_WEIGHT = 1e18
 """Products of larger numbers are beyond float32."""
@@ -25,6 +32,10 @@ _TORCH_MESSAGE = "Expected parameter"
 
 class NotFiniteError(EmbodichainError):
     """Networks or losses of a training are NaN or infinite."""
+
+
+class NoValidStepError(EmbodichainError):
+    """No environment has taken a step whose physics, observation and rewards are finite."""
 
 
 class Learning(Protocol):

@@ -40,7 +40,7 @@ from embodichain.learning.sb3.training_state import (
 )
 from embodichain.learning.sb3.vec_env import SB3VecEnv
 from embodichain.learning.tensors.tensor_env import TensorEnv
-from embodichain.learning.training.finite import told_apart
+from embodichain.learning.training.finite import NoValidStepError, told_apart
 from embodichain.learning.training.keeper import state_path
 from embodichain.learning.training.train_logs import (
     log_episode,
@@ -59,6 +59,8 @@ PARTS = ("physics", "environment", "policy", "update")
 """Physics steps; the rest of `env.step` (observations, rewards, resets); the rest of a rollout
 (actions of the policy, buffers, statistics); the time between two rollouts (the algorithm's
 update, logs, checkpoints)."""
+_MOST_INVALID_STEPS = 10
+"""Control steps in a row in which every environment diverges, before a training ends."""
 
 
 @dataclass
@@ -168,6 +170,7 @@ class Session:
 
         Raises:
             NotFiniteError: The networks or the losses are not finite.
+            NoValidStepError: Every environment diverged in each of several control steps.
         """
         model = self.model
         total = self.statistics.total_timesteps
@@ -276,6 +279,7 @@ class _Watch(BaseCallback):
         self._progress = progress
         self._on_boundary = on_boundary
         self._judges = judges
+        self._invalid_steps = 0
 
     def boundary(self) -> None:
         """Call `on_boundary`, and stop if told to; called between an update and a rollout."""
@@ -297,15 +301,37 @@ class _Watch(BaseCallback):
         statistics = self._statistics
         statistics.env_steps = self.num_timesteps
         infos = self.locals["infos"]
+        diverged = 0
         for i in np.flatnonzero(self.locals["dones"]).tolist():
             statistics.add(infos[i])
             log_episode(self.logger, infos[i])
+            diverged += infos[i]["ended_by"] == "diverged"
+        self._check_validity(is_any_valid=diverged < len(infos))
         if self._progress is not None and self.stopped is None:
             try:
                 self._progress(statistics)
             except KeyboardInterrupt as error:
                 self.stopped = error  # after the rollout and its update, so that nothing is lost
         return True
+
+    def _check_validity(self, *, is_any_valid: bool) -> None:
+        """Count control steps that are invalid in every environment.
+
+        Raises:
+            NoValidStepError: There were `_MOST_INVALID_STEPS` in a row: nothing can be learned.
+        """
+        if is_any_valid:
+            self._invalid_steps = 0
+            return
+        self._invalid_steps += 1
+        if self._invalid_steps == _MOST_INVALID_STEPS:
+            terms = ", ".join(f"task.{name}" for name in self._env.base.not_finite_terms)
+            cause = f"{terms} not finite" if terms else "the physics diverges"
+            raise NoValidStepError(
+                f"no step of any environment was valid in {_MOST_INVALID_STEPS} control steps in a "
+                f"row ({cause}), after {self.num_timesteps} environment steps: there is nothing to "
+                "learn from"
+            )
 
     def _on_rollout_end(self) -> None:
         self.updating = True

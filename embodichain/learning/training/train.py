@@ -142,6 +142,7 @@ def train(
         WriteError: The folder cannot be written; complete checkpoints remain.
         NotFiniteError: The networks or the losses of an update are not finite; checkpoints of
             before remain.
+        NoValidStepError: Every environment diverged in each of ten control steps in a row.
     """
     algorithm = _check_keys(resolved)
     if resolved.root.wandb.mode != "disabled":

@@ -41,6 +41,26 @@ def test_a_rate_that_is_far_too_large_is_named(algorithm, tmp_path, capsys):
     assert not list(tmp_path.rglob("*.zip"))
 
 
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_a_training_without_a_valid_step_ends(algorithm, tmp_path, capsys):
+    """A reward that is always NaN: there is nothing to learn from."""
+    (tmp_path / "bad_reward.py").write_text(
+        "import torch\n\n\ndef bad(env, obs, action, info):\n"
+        "    return torch.full((env.num_envs,), float('nan'))\n"
+    )
+    keys, _ = ALGORITHMS[algorithm]
+    reward = "+task.rewards.bad={func: 'bad_reward:bad', weight: 1}"
+    line = [*REACH, *keys, "total_timesteps=256", reward, "--quiet"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(tmp_path)
+        assert main(["train", *line, f"output_dir={tmp_path}"]) == 1
+    said = capsys.readouterr().err
+    assert "error: no step of any environment was valid in 10 control steps in a row" in said
+    assert "(task.rewards.bad not finite), after 40 environment steps" in said
+    summary = json.loads(next(tmp_path.glob("*/*/summary.json")).read_text())
+    assert summary["status"] == "failed" and "in a row" in summary["error"]
+
+
 def test_checkpoints_of_before_stay(tmp_path, monkeypatch):
     """The third update spoils one weight: what the second made stays, and nothing else does."""
     learn, calls = PPO.train, []

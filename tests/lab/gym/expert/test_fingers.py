@@ -73,7 +73,7 @@ STRING = """<tendon><fixed name="both"><joint joint="left" coef="1"/>
   <joint joint="right" coef="-1"/></fixed></tendon>"""
 THREE = "".join(
     f"""<body name="f{i}" euler="0 0 {120 * i}">
-     <joint name="f{i}" axis="0 1 0" pos=".03 0 .02" range="-40 40"/>
+     <joint name="f{i}" axis="0 1 0" pos=".03 0 .02" range="-40 40" armature=".01"/>
      <geom type="capsule" fromto=".03 0 .02 .05 0 .1" size=".005" mass=".05"/></body>"""
     for i in range(3)
 )
