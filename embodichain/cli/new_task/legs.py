@@ -77,6 +77,8 @@ _SPREADS = 0.6
 """Least distance of the foot of a leg that spreads beside its hip, as a share of that below it."""
 _PLACES_OF_SPREAD = ((0.55, 0.6), (0.4, 0.65), (0.65, 0.45), (0.25, 0.7), (0.4, 0.8), (0.1, 0.75))
 """Places of the foot of such a leg beside and below its hip, as shares of its length from there."""
+_PLACES_OF_ONE_JOINT = ((0.8, 0.6), (0.7, 0.7), (0.6, 0.8))
+"""The same where a single joint lifts the leg."""
 _CLEARANCE = 0.2
 """Height of the trunk above the feet of legs that spread, as a share of their length, at least."""
 
@@ -323,7 +325,11 @@ def _place(model: mujoco.MjModel, data: mujoco.MjData, positions: F64) -> None:
 
 
 def _spread(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
-    """Bend a leg in its own plane until its foot is beside its hip and below the trunk."""
+    """Bend a leg in its own plane until its foot is beside its hip and below the trunk.
+
+    Returns:
+        Whether its foot is below the trunk now, which it may have been at first.
+    """
     name = _first_lift(model, data, leg)
     if name is None:
         return False
@@ -343,14 +349,16 @@ def _spread(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
     trunk = int(model.body_rootid[model.body(leg.body).id])
     highest = _lowest_of_trunk(model, data, trunk) - _CLEARANCE * length
     first = data.qpos.copy()
-    for aside, below in _PLACES_OF_SPREAD:
+    has_one_joint = lift == len(leg.joints) - 1
+    arrived = 0.05 * length if has_one_joint else 2e-3 * length
+    for aside, below in _PLACES_OF_ONE_JOINT if has_one_joint else _PLACES_OF_SPREAD:
         place = hip + length * (aside * outwards - [0.0, 0.0, below])
         if place[2] > highest:
             continue
         poses: list[tuple[float, F64]] = []
         for bend in _BENDS:
             _place(model, data, first)
-            if _bend(model, data, leg, place, first_joint=lift, bends=(bend,), arrived=5e-4):
+            if _bend(model, data, leg, place, first_joint=lift, bends=(bend,), arrived=arrived):
                 knee = float(data.xanchor[model.joint(leg.joints[-1]).id, 2])
                 poses.append((knee, data.qpos.copy()))
         if poses:
@@ -358,7 +366,7 @@ def _spread(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
             _place(model, data, positions)
             return True
     _place(model, data, first)
-    return False
+    return bool(foot_position(data, leg)[2] <= highest)
 
 
 def _lowest_of_trunk(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> float:
