@@ -105,3 +105,52 @@ CART = """<robot name="cart">
 <origin xyz="0 -0.2 0"/><axis xyz="0 1 0"/></joint></robot>
 """
 """Two wheels, and nothing else."""
+
+
+def insect(hanging: float = 0.0) -> str:
+    """Six legs at the sides of a long trunk: coxa, femur and tibia, whose frame is at the knee.
+
+    Args:
+        hanging: Angle in rad by which the tibia is below the femur where all joints are at zero.
+    """
+    text = _link("chassis", 2.2, "0 0 0", '<box size="0.36 0.16 0.06"/>')
+    places = ((0.16, 1.07), (0.0, 1.57), (-0.16, 2.07))
+    for i, (x, yaw) in enumerate(places):
+        for side, sign in (("l", 1), ("r", -1)):
+            leg = f"{side}{i}"
+            text += _link(f"coxa_{leg}", 0.08, "0.025 0 0", '<box size="0.05 0.03 0.03"/>')
+            text += _link(f"femur_{leg}", 0.1, "0.05 0 0", '<box size="0.1 0.02 0.02"/>')
+            text += _link(f"tibia_{leg}", 0.08, "0.07 0 0", '<box size="0.14 0.02 0.02"/>')
+            for number, parent, child, place, turn, axis, limits in (
+                (1, "chassis", "coxa", f"{x} {0.08 * sign} 0", f"0 0 {yaw * sign}", "0 0 1", 0.7),
+                (2, f"coxa_{leg}", "femur", "0.05 0 0", "0 0 0", "0 1 0", 1.4),
+                (3, f"femur_{leg}", "tibia", "0.1 0 0", f"0 {hanging} 0", "0 1 0", 2.4),
+            ):
+                joint = _joint(
+                    f"j{number}_{leg}",
+                    parent,
+                    f"{child}_{leg}",
+                    f'{place}" rpy="{turn}',
+                    axis,
+                    f'lower="{-limits}" upper="{limits}"',
+                )
+                text += joint.replace('effort="0"', 'effort="6"')
+    return f'<robot name="insect">{text}</robot>'
+
+
+def ant() -> str:
+    """Four legs at the corners of a ball that turn and are lifted by one joint each."""
+    legs = []
+    for i, (x, y) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        legs.append(
+            f'<body name="aux{i}" pos="{0.2 * x} {0.2 * y} 0">'
+            f'<joint name="hip{i}" axis="0 0 1" range="-0.5 0.5"/>'
+            f'<geom type="capsule" fromto="0 0 0 {0.2 * x} {0.2 * y} 0" size="0.06"/>'
+            f'<body name="leg{i}" pos="{0.2 * x} {0.2 * y} 0">'
+            f'<joint name="ankle{i}" axis="{-y} {x} 0" range="0 1.2"/>'
+            f'<geom type="capsule" fromto="0 0 0 {0.4 * x} {0.4 * y} 0" size="0.06"/>'
+            "</body></body>"
+        )
+    trunk = '<body name="torso" pos="0 0 0.75"><freejoint/><geom type="sphere" size="0.2"/>'
+    world = f"<worldbody>{trunk}{''.join(legs)}</body></worldbody>"
+    return f'<mujoco model="ant"><compiler angle="radian"/>{world}</mujoco>'

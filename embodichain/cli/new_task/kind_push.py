@@ -35,6 +35,8 @@ _WAY = 0.2
 """Distance from the cube to the disc, m."""
 _NEAR = 0.08
 """Distance in metres of the cube's middle from that of the disc that counts as success."""
+_DISC_HEIGHT = 0.001
+"""Height in metres of the disc's middle."""
 _STEP = 0.02
 """The largest motion of the tool in a control step, m."""
 _ABOVE_FLOOR = 0.01
@@ -112,10 +114,11 @@ def _words(
     words = {
         **cube_words(robot, area, closed, cube=cube, density=_DENSITY),
         "cube_place": list_of([x, cube_y, 0.5 * cube]),
-        "goal_place": list_of([x, goal_y, 0.001]),
+        "goal_place": list_of([x, goal_y, _DISC_HEIGHT]),
         "cube_range": _box(0.03 * size, 0.02 * size),
         "goal_range": _box(0.05 * size, 0.05 * size),
         "near": number(near),
+        "above_goal": number(0.5 * cube - _DISC_HEIGHT),
         "disc": number(disc),
         "rotation": "keep" if keeps else "free",
         "step": number(rounded(_STEP * size)),

@@ -12,6 +12,7 @@ import numpy as np
 from embodichain.cli.new_task.guesses import Guess
 from embodichain.cli.new_task.legs import (
     Leg,
+    feet_above_trunk,
     foot_origin,
     foot_position,
     legs_with_feet,
@@ -26,6 +27,8 @@ from embodichain.cli.new_task.task_draft import (
     number,
     rounded,
 )
+from embodichain.cli.new_task.tool_point import corners_of
+from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,13 +47,22 @@ _SCALE = 0.25
 """Angle in rad by which an action of 1 moves a joint from home."""
 _ROLLS = 0.7
 """Least x component of the axis of a joint that moves a leg sideways."""
+_SPARE = 0.011
+"""Height in metres up to which a robot may begin above the ground or in it: that of rounding."""
+_EYE = 2.4
+"""Least distance of the camera from a robot, by half of the robot's diagonal."""
 _MIRRORED = 0.02
 """Error in metres, and of axes, up to which a left leg is the mirror image of a right one."""
 
 
 def draft_velocity(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
-    """Yield the task of walking."""
+    """Yield the task of walking.
+
+    Raises:
+        ConfigError: If the robot lies in its first pose: its feet are not below its trunk.
+    """
     legs = legs_with_feet(robot.model, robot.data, robot.frames_of("feet"))
+    _check_that_it_stands(robot, legs)
     joints = robot.joints_of("legs")
     model = robot.model
     data = robot.data
@@ -69,11 +81,14 @@ def draft_velocity(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
     mirror = _mirror(robot, legs, joints)
     body = ["base", *(name for name in ("thighs",) if name in robot.names)]
     sensors, camera_guesses = camera_words(robot)
-    gait = "a trot: diagonal feet together" if len(legs) == 4 else "steps: left and right in turn"
+    gait = _gait_of(legs)
+    eye = _eye(robot, height)
+    placement, placement_guesses = _placement(robot, ground)
     words = {
-        "far": number(rounded(3.5 * height)),
-        "aside": number(rounded(2.6 * height)),
-        "above": number(rounded(1.2 * height)),
+        "placement": placement,
+        "far": number(rounded(eye[0])),
+        "aside": number(rounded(eye[1])),
+        "above": number(rounded(eye[2])),
         "body": ", ".join(body),
         "sensors": sensors,
         "scale": joint_map(dict.fromkeys(joints, _SCALE)),
@@ -113,7 +128,55 @@ def draft_velocity(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
     if not rolls:
         why = "no joint moves a leg sideways: lin_vel_y is 0, and it turns slowly"
         guesses.append(Guess("commands.sideways", "0", why))
-    yield TaskDraft(words, [*guesses, *camera_guesses])
+    yield TaskDraft(words, [*placement_guesses, *guesses, *camera_guesses])
+
+
+def _check_that_it_stands(robot: EmbodiedRobot, legs: list[Leg]) -> None:
+    """Refuse a robot whose trunk lies on the ground in its first pose."""
+    lying = feet_above_trunk(robot.model, robot.data, legs, robot.parsed.root_link_name)
+    if not lying:
+        return
+    name = robot.embodiment.name
+    feet = ", ".join(leg.foot for leg in lying)
+    joints = ", ".join(dict.fromkeys(joint for leg in lying for joint in leg.joints))
+    path = f"conf/embodiment/{name}.yaml"
+    message = f"velocity needs a pose in which {name} stands, and in the first one these feet are "
+    message += f"not below its trunk: {feet}. Give init_qpos for {joints} in {path}"
+    if robot.embodiment.is_new:
+        message += f", which `embodichain new embodiment {name} --robot FILE` writes"
+    raise ConfigError(f"{message}; the height above the ground follows from it")
+
+
+def _gait_of(legs: list[Leg]) -> str:
+    """The gait that `trot_phases` gives, for people."""
+    if len(legs) == 2:
+        return "steps: left and right in turn"
+    if len(legs) == 4:
+        return "a trot: diagonal feet together"
+    if len(legs) == 6:
+        return "a tripod: two outer feet and the middle one across"
+    return "steps: neighbours on each side in turn, and opposite feet"
+
+
+def _eye(robot: EmbodiedRobot, height: float) -> F64:
+    """(3,) ahead, aside and above: from where the camera sees the trunk and all of the legs, m."""
+    eye = height * np.array([3.5, 2.6, 1.2])
+    corners = corners_of(robot.model, robot.data, range(1, robot.model.nbody))
+    diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    return eye * max(1.0, _EYE * 0.5 * diagonal / float(np.linalg.norm(eye)))
+
+
+def _placement(robot: EmbodiedRobot, ground: float) -> tuple[str, list[Guess]]:
+    """The robot's place as YAML where its embodiment has a height that is not that of its pose."""
+    is_written_here = bool(robot.embodiment.text)
+    if not (ground < -_SPARE or (is_written_here and ground > _SPARE)):
+        return "", []
+    x, y, z = robot.parsed.placement.root_pos
+    where = f"{100 * abs(ground):.0f} cm {'in' if ground < 0 else 'above'} the ground"
+    place = list_of([x, y, np.ceil(100 * (z - ground) - 1e-6) / 100])
+    text = f"robot:\n  init_pos: {place}  # the lowest point of its first pose is on the ground\n"
+    why = f"with its init_pos {robot.embodiment.name} would begin {where}"
+    return text, [Guess("robot.init_pos", place, why)]
 
 
 def _mirror(robot: EmbodiedRobot, legs: list[Leg], joints: list[str]) -> str:

@@ -1,4 +1,7 @@
-"""`find_legs`: the legs of a robot that walks, the pose in which it stands, and its gait."""
+"""`find_legs`: the legs of a robot that walks, the pose in which it stands, and its gait.
+
+Legs hang below the trunk, as those of dogs and people do, or spread from it, as an insect's do.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,14 @@ if TYPE_CHECKING:
 __all__ = [
     "FOOT_NAME",
     "Leg",
+    "feet_above_trunk",
     "find_legs",
     "foot_origin",
     "foot_position",
     "leg_gains",
     "legs_aside",
     "legs_with_feet",
+    "spreads",
     "stand",
     "trot_phases",
 ]
@@ -64,6 +69,18 @@ _PAD = 0.3
 """Radius of a shape that is a foot of its own on a shank, as a share of the shank, at most."""
 _SAG = 0.7
 """Angle in rad by which a drive would yield to the weight on a horizontal leg."""
+_SAG_OF_SPREAD = 0.1
+"""Angle in rad by which a joint of a leg that spreads yields to the weight in its pose, at most."""
+_UPRIGHT = 0.5
+"""Vertical component of a joint's axis from which the joint does not lift a leg, but turns it."""
+_SPREADS = 0.6
+"""Least distance of the foot of a leg that spreads beside its hip, as a share of that below it."""
+_PLACES_OF_SPREAD = ((0.55, 0.6), (0.4, 0.65), (0.65, 0.45), (0.25, 0.7), (0.4, 0.8), (0.1, 0.75))
+"""Places of the foot of such a leg beside and below its hip, as shares of its length from there."""
+_PLACES_OF_ONE_JOINT = ((0.8, 0.6), (0.7, 0.7), (0.6, 0.8))
+"""The same where a single joint lifts the leg."""
+_CLEARANCE = 0.2
+"""Height of the trunk above the feet of legs that spread, as a share of their length, at least."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +147,8 @@ def stand(
 ) -> list[str]:
     """Bend legs that are stretched or folded, in `data`; return the feet of those that were bent.
 
-    More than two legs are spread a little as well.
+    More than two legs are spread a little as well. Where not all can hang below their hips, all
+    that do not stand yet spread to the sides, each in the plane in which it bends.
 
     Args:
         model: The robot.
@@ -140,6 +158,8 @@ def stand(
             what such drives yield to the weight: the robot sinks until its feet are below its hips.
     """
     bent: list[str] = []
+    first_positions = data.qpos.copy()
+    first_aside = legs_aside(model, data, legs)
     is_on_many = len(legs) > 2
     middle = float(np.mean([foot_position(data, leg)[1] for leg in legs])) if legs else 0.0
     for leg in legs:
@@ -157,6 +177,13 @@ def stand(
             bent.append(leg.foot)
             if is_on_many and yields:
                 _raise(model, data, leg, legs)
+    if is_on_many and len(bent) < len(first_aside):
+        positions = data.qpos.copy()
+        _place(model, data, first_positions)
+        spread = [leg.foot for leg in legs if leg.foot in first_aside and _spread(model, data, leg)]
+        if len(spread) == len(first_aside):
+            return spread
+        _place(model, data, positions)
     return bent
 
 
@@ -165,25 +192,88 @@ def legs_aside(model: mujoco.MjModel, data: mujoco.MjData, legs: Sequence[Leg]) 
     return [leg.foot for leg in legs if not _stands(model, data, leg)]
 
 
-def leg_gains(model: mujoco.MjModel, legs: Sequence[Leg]) -> tuple[float, float]:
+def spreads(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
+    """Whether a leg stands far beside its hip, as an insect's does, and not below it."""
+    joint = _first_lift(model, data, leg)
+    if joint is None:
+        return False
+    way = foot_position(data, leg) - data.xanchor[model.joint(joint).id]
+    return bool(way[2] < 0) and float(np.hypot(way[0], way[1])) > -_SPREADS * float(way[2])
+
+
+def feet_above_trunk(
+    model: mujoco.MjModel, data: mujoco.MjData, legs: Sequence[Leg], root: str
+) -> list[Leg]:
+    """The legs whose feet are not below the trunk, which lies on the ground between them.
+
+    Args:
+        model: The robot.
+        data: A state of it.
+        legs: Its legs.
+        root: Its root link.
+    """
+    lowest = _lowest_of_trunk(model, data, int(model.body(root).id))
+    return [leg for leg in legs if float(foot_position(data, leg)[2]) >= lowest]
+
+
+def leg_gains(
+    model: mujoco.MjModel, data: mujoco.MjData, legs: Sequence[Leg]
+) -> tuple[float, float]:
     """Stiffness (N m/rad) and damping (N m s/rad) with which legs bear the robot's weight.
 
     They are near those with which robots are trained: 25 and 0.5 for a Go2, 80 and 2 for an ANYmal.
+    Legs that spread in a state bear it with a longer lever, and get as much as that takes.
     """
-    weight = 9.81 * float(model.body_subtreemass[0])
-    length = float(np.mean([leg.length for leg in legs]))
-    stiffness = weight / len(legs) * length / _SAG
-    half_a_digit = 0.5 * 10.0 ** np.floor(np.log10(stiffness))
-    stiffness = float(half_a_digit * round(stiffness / half_a_digit))
+    force = _weight_on_each(model, legs)
+    torques = [
+        float(np.abs(_torques(model, data, leg, force)).max())
+        for leg in legs
+        if spreads(model, data, leg)
+    ]
+    lasting = _to_half_a_digit(max(torques, default=0.0) / _SAG_OF_SPREAD)
+    stiffness = max(_stiffness_below_hips(model, legs), lasting)
     return stiffness, float(f"{stiffness / 40:.1g}")
 
 
+def _weight_on_each(model: mujoco.MjModel, legs: Sequence[Leg]) -> float:
+    """The share of the robot's weight that each leg bears, N."""
+    return 9.81 * float(model.body_subtreemass[0]) / len(legs)
+
+
+def _stiffness_below_hips(model: mujoco.MjModel, legs: Sequence[Leg]) -> float:
+    """Stiffness of drives of legs whose feet are below their hips, N m/rad."""
+    length = float(np.mean([leg.length for leg in legs]))
+    return _to_half_a_digit(_weight_on_each(model, legs) * length / _SAG)
+
+
+def _to_half_a_digit(value: float) -> float:
+    """A number that is not negative, rounded to halves of its first digit."""
+    if value == 0.0:
+        return value
+    half_a_digit = 0.5 * 10.0 ** np.floor(np.log10(value))
+    return float(half_a_digit * round(value / half_a_digit))
+
+
 def trot_phases(data: mujoco.MjData, legs: Sequence[Leg]) -> list[float]:
-    """The phase of each foot in a gait, in periods: diagonal feet together, or left and right."""
+    """The phase of each foot in a gait, in periods: diagonal feet together, or left and right.
+
+    On each side of more than four legs neighbours are in turn, and so are opposite feet: six legs
+    stand on the outer feet of one side and the middle one of the other.
+    """
     places = np.array([foot_position(data, leg)[:2] for leg in legs])
     middle = places.mean(axis=0)
     phases = []
     is_two_legged = len(legs) == 2
+    if len(legs) > 4:
+        is_on_left = places[:, 1] > middle[1]
+        ranks = [
+            int(((is_on_left == is_left) & (places[:, 0] > x)).sum())
+            for (x, _), is_left in zip(places, is_on_left, strict=True)
+        ]
+        return [
+            0.5 * ((rank + int(not is_left)) % 2)
+            for rank, is_left in zip(ranks, is_on_left, strict=True)
+        ]
     for x, y in places - middle:
         is_left = y > 0
         is_front = x > 0 and not is_two_legged
@@ -215,6 +305,87 @@ def _stands(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
 def _hip_position(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> F64:
     """(3,) the first joint that swings a leg forwards, m."""
     return data.xanchor[model.joint(_first_pitch(model, data, leg)).id].copy()
+
+
+def _first_lift(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> str | None:
+    """The first joint of a leg that lifts it, whose axis is not upright; None without one."""
+    for name in leg.joints:
+        if abs(float(data.xaxis[model.joint(name).id, 2])) < _UPRIGHT:
+            return name
+    return None
+
+
+def _place(model: mujoco.MjModel, data: mujoco.MjData, positions: F64) -> None:
+    """Set all positions."""
+    import mujoco
+
+    data.qpos[:] = positions
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+
+
+def _spread(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
+    """Bend a leg in its own plane until its foot is beside its hip and below the trunk.
+
+    Returns:
+        Whether its foot is below the trunk now, which it may have been at first.
+    """
+    name = _first_lift(model, data, leg)
+    if name is None:
+        return False
+    lift = leg.joints.index(name)
+    points = [data.xanchor[model.joint(joint).id].copy() for joint in leg.joints[lift:]]
+    points.append(foot_position(data, leg))
+    length = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(points))
+    hip = points[0]
+    axis = data.xaxis[model.joint(name).id]
+    outwards = np.array([-axis[1], axis[0], 0.0])
+    outwards /= np.linalg.norm(outwards)
+    way = points[-1] - hip
+    if abs(float(way @ outwards)) < 0.1 * length:  # a leg that hangs
+        way = hip - data.xipos[model.body_rootid[model.body(leg.body).id]]
+    if float(way @ outwards) < 0:
+        outwards = -outwards
+    trunk = int(model.body_rootid[model.body(leg.body).id])
+    highest = _lowest_of_trunk(model, data, trunk) - _CLEARANCE * length
+    first = data.qpos.copy()
+    has_one_joint = lift == len(leg.joints) - 1
+    arrived = 0.05 * length if has_one_joint else 2e-3 * length
+    for aside, below in _PLACES_OF_ONE_JOINT if has_one_joint else _PLACES_OF_SPREAD:
+        place = hip + length * (aside * outwards - [0.0, 0.0, below])
+        if place[2] > highest:
+            continue
+        poses: list[tuple[float, F64]] = []
+        for bend in _BENDS:
+            _place(model, data, first)
+            if _bend(model, data, leg, place, first_joint=lift, bends=(bend,), arrived=arrived):
+                knee = float(data.xanchor[model.joint(leg.joints[-1]).id, 2])
+                poses.append((knee, data.qpos.copy()))
+        if poses:
+            _, positions = max(poses, key=lambda pose: pose[0])  # the knee up, as insects have it
+            _place(model, data, positions)
+            return True
+    _place(model, data, first)
+    return bool(foot_position(data, leg)[2] <= highest)
+
+
+def _lowest_of_trunk(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> float:
+    """Height of the lowest corner of the root link and what is fixed on it, m."""
+    trunk = [body for body in range(1, model.nbody) if model.body_weldid[body] == root]
+    corners = corners_of(model, data, trunk)
+    return float(corners[:, 2].min()) if len(corners) else float(data.xpos[root, 2])
+
+
+def _torques(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, force: float) -> F64:
+    """(K,) torques of a leg's joints in N m that bear a vertical force on its foot, N."""
+    import mujoco
+
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_jac(model, data, jacobian, None, foot_position(data, leg), model.body(leg.body).id)
+    dofs = model.jnt_dofadr[[model.joint(name).id for name in leg.joints]]
+    torques: F64 = force * jacobian[2, dofs]
+    return torques
 
 
 def _carrier(model: mujoco.MjModel, name: str, others: Sequence[str]) -> bool:
@@ -318,14 +489,11 @@ def _raise(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, legs: Sequence[
     """Move the pitching joints of a leg back by what drives yield to its share of the weight."""
     import mujoco
 
-    stiffness, _ = leg_gains(model, legs)
-    force = np.array([0.0, 0.0, 9.81 * float(model.body_subtreemass[0]) / len(legs)])
-    jacobian = np.zeros((3, model.nv))
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_jac(model, data, jacobian, None, foot_position(data, leg), model.body(leg.body).id)
-    for name in leg.joints[leg.joints.index(_first_pitch(model, data, leg)) :]:
+    stiffness = _stiffness_below_hips(model, legs)
+    torques = _torques(model, data, leg, _weight_on_each(model, legs))
+    first = leg.joints.index(_first_pitch(model, data, leg))
+    for name, torque in zip(leg.joints[first:], torques[first:].tolist(), strict=True):
         joint = model.joint(name)
-        torque = float(jacobian[:, int(joint.dofadr[0])] @ force)
         position = float(data.joint(name).qpos[0]) - torque / stiffness
         if joint.limited[0]:
             margin = _MARGIN * float(np.ptp(joint.range))
@@ -334,8 +502,28 @@ def _raise(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, legs: Sequence[
     mujoco.mj_kinematics(model, data)
 
 
-def _bend(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, place: F64) -> bool:
-    """Move a leg's joints until its foot is at a place, if it can be there."""
+def _bend(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    leg: Leg,
+    place: F64,
+    *,
+    first_joint: int | None = None,
+    bends: Sequence[float] = _BENDS,
+    arrived: float = _ARRIVED,
+) -> bool:
+    """Move a leg's joints until its foot is at a place, if it can be there.
+
+    Args:
+        model: The robot.
+        data: Its state, which is changed if the foot gets there.
+        leg: The leg.
+        place: (3,) the place, m.
+        first_joint: Index of the joint that is bent first, with the next; None is the first that
+            swings the leg forwards.
+        bends: Angles in rad of that joint from which the search begins.
+        arrived: Distance from the place that counts as none, m.
+    """
     import mujoco
 
     ids = [model.joint(name).id for name in leg.joints]
@@ -346,18 +534,19 @@ def _bend(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg, place: F64) -> b
     low = np.where(is_limited, model.jnt_range[ids, 0] + margins, -np.pi)
     high = np.where(is_limited, model.jnt_range[ids, 1] - margins, np.pi)
     first = data.qpos[columns].copy()
-    pitch = leg.joints.index(_first_pitch(model, data, leg))
-    for bend in _BENDS:
+    if first_joint is None:
+        first_joint = leg.joints.index(_first_pitch(model, data, leg))
+    for bend in bends:
         angles = first.copy()
-        angles[pitch] = bend
-        angles[pitch + 1 : pitch + 2] = -2.0 * bend
+        angles[first_joint] = bend
+        angles[first_joint + 1 : first_joint + 2] = -2.0 * bend
         angles = np.clip(angles, low, high)
         for _ in range(_ITERATIONS):
             data.qpos[columns] = angles
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             error = place - foot_position(data, leg)
-            if float(np.linalg.norm(error)) < _ARRIVED:
+            if float(np.linalg.norm(error)) < arrived:
                 return True
             jacobian = np.zeros((3, model.nv))
             body = model.body(leg.body).id

@@ -331,7 +331,7 @@ def _drive_guess(robot: RobotFile) -> Guess:
     if not robot.is_urdf:
         why = "the file has no actuators, and so no gains: tune them"
     if robot.legs:
-        stiffness, damping = leg_gains(parsed.model, robot.legs)
+        stiffness, damping = leg_gains(parsed.model, robot.data, robot.legs)
         why = f"by the weight on its legs; {why}"
     if robot.wheels:
         stiffness, damping = 0.0, _WHEEL_DAMPING

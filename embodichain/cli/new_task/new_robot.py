@@ -16,6 +16,7 @@ from embodichain.cli.new_task.legs import (
     find_legs,
     legs_aside,
     legs_with_feet,
+    spreads,
     stand,
 )
 from embodichain.cli.new_task.limbs import find_limbs, find_wheels, only_wheels
@@ -227,8 +228,10 @@ def read_robot_file(fpath: str, feet: Sequence[str] = (), *, shall_walk: bool = 
             bent = stand(parsed.model, data, legs, yields=_yields(parsed))
             if bent:
                 why_home = "legs bent until the feet are below the hips"
-            if bent and len(legs) > 2:
-                why_home += " under the weight, and spread a little"
+                if len(legs) > 2:
+                    why_home += " under the weight, and spread a little"
+                if any(spreads(parsed.model, data, leg) for leg in legs if leg.foot in bent):
+                    why_home = "legs spread and bent until the feet are below the trunk"
             aside = legs_aside(parsed.model, data, [leg for leg in legs if leg.foot not in bent])
             if aside:
                 why_home += f"; no such pose was found for {', '.join(aside)}: give one in which"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from embodichain.config.checks.sunken import note_sunken
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ def try_zero_actions(env: BaseEnv) -> list[Problem]:
         env: The environment, of this process, with its arrays on the host.
 
     Returns:
-        A note if every episode begins as a success.
+        A note on each robot and object that begins in the ground, and one if every episode begins
+        as a success.
 
     Raises:
         ConfigError: All environments diverge: nothing can be learned or played.
@@ -64,6 +66,7 @@ def try_zero_actions(env: BaseEnv) -> list[Problem]:
     num_steps = _STEPS_WITH_CAMERAS if has_cameras else _STEPS
     trial = _Trial(np.zeros(env.num_envs, np.bool_))
     obs, _ = env.reset()
+    notes = note_sunken(env)
     resets = 1
     for step in range(num_steps):
         obs, _, _, _, info = env.step(zero(obs, env))
@@ -73,20 +76,20 @@ def try_zero_actions(env: BaseEnv) -> list[Problem]:
         if trial.diverged.all():
             raise ConfigError(_divergence(env, step + 1))
     if not _judges_arrival(env):
-        return []
+        return notes
     while trial.successes[-1].all() and resets < _MOST_RESETS and resets * env.num_envs < _STARTS:
         obs, _ = env.reset()
         _, _, _, _, info = env.step(zero(obs, env))
         trial.successes.append(_flags(info, "success"))
         resets += 1
     if not np.concatenate(trial.successes).all():
-        return []
+        return notes
     fact = f"true in the first step of all {resets * env.num_envs} episodes that were tried"
     advice = (
         "every policy succeeds at once, or the threshold is in another unit (m, rad); "
         "`reduce: all` is for a state that is to be held"
     )
-    return [Problem(_success_path(env), f"{fact}: {advice}")]
+    return [*notes, Problem(_success_path(env), f"{fact}: {advice}")]
 
 
 def _flags(info: Any, name: str) -> NDArray[np.bool_]:

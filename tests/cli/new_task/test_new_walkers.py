@@ -14,7 +14,7 @@ import yaml
 
 import embodichain
 from embodichain.cli import main
-from tests.helpers.cad_robots import CART, crab, hand, spider, two_arms
+from tests.helpers.cad_robots import CART, ant, crab, hand, insect, spider, two_arms
 from tests.helpers.framed_robots import ARM
 
 pytestmark = [pytest.mark.unmeasured]
@@ -24,6 +24,9 @@ pytestmark = [pytest.mark.unmeasured]
 def robots(empty_cwd: Path) -> None:
     Path("crab.urdf").write_text(crab())
     Path("spider.urdf").write_text(spider())
+    Path("insect.urdf").write_text(insect())
+    Path("sprawled.urdf").write_text(insect(hanging=1.57))
+    Path("ant.xml").write_text(ant())
     Path("cart.urdf").write_text(CART)
     Path("arm.xml").write_text(ARM)
 
@@ -46,6 +49,13 @@ def embodiment_of(
     facts = new(capsys, "embodiment", "mine", "--robot", file, *words)
     robot = yaml.safe_load(Path("conf/embodiment/mine.yaml").read_text())["robot"]
     return robot, {guess["key"]: guess["why"] for guess in facts["guessed"]}
+
+
+def robot_in(embodiment: str) -> dict[str, Any]:
+    """The robot of an embodiment's file."""
+    path = Path(f"conf/embodiment/{embodiment}.yaml")
+    robot: dict[str, Any] = yaml.safe_load(path.read_text())["robot"]
+    return robot
 
 
 def test_equal_chains_of_a_urdf_are_legs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,13 +108,82 @@ def test_a_walker_from_cad_stands(capsys: pytest.CaptureFixture[str]) -> None:
     env.close()
 
 
-def test_legs_that_spread_are_legs_and_what_does_not_stand_is_named(
+@pytest.mark.parametrize(
+    ("file", "legs"), [("spider.urdf", 6), ("insect.urdf", 6), ("sprawled.urdf", 6), ("ant.xml", 4)]
+)
+def test_legs_that_spread_stand_with_their_feet_below_the_trunk(
+    capsys: pytest.CaptureFixture[str], file: str, legs: int
+) -> None:
+    robot, why = embodiment_of(capsys, file)
+    assert robot["fix_base"] is False
+    assert len(robot["names"]["feet"]) == legs
+    assert "no such pose" not in why["init_qpos"]
+    if file == "sprawled.urdf":  # it stands in the zero pose of its file
+        assert not any(robot["init_qpos"])
+    else:
+        assert why["init_qpos"] == "legs spread and bent until the feet are below the trunk"
+    assert robot["init_pos"][2] > 0.11
+
+
+def test_six_legs_bear_the_weight_for_a_whole_episode(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each of their drives yields by 0.1 rad at most, which shows after hundreds of steps only."""
+    from embodichain.lab.gym.policies import resolve_policy
+
+    new(capsys, "task", "mine", "--kind", "velocity", "--robot", "insect.urdf")
+    first_height = robot_in("insect")["init_pos"][2]
+    env = embodichain.make("mine", 4, ["seed=1"])
+    obs, _ = env.reset()
+    hold = resolve_policy("hold")
+    for _ in range(400):
+        obs, _, terminated, _, _ = env.step(hold(obs, env))
+        assert not terminated.any()
+    height = float(env.robot.get_local_pose()[:, 2].min())
+    assert height > 0.8 * first_height
+    env.close()
+
+
+def test_six_legs_walk_on_three_at_a_time(capsys: pytest.CaptureFixture[str]) -> None:
+    new(capsys, "task", "mine", "--kind", "velocity", "--robot", "insect.urdf")
+    task = yaml.safe_load(Path("conf/task/mine.yaml").read_text())
+    phases = task["rewards"]["gait"]["params"]["offsets"]
+    tripod = {"tibia_l0", "tibia_r1", "tibia_l2"}
+    assert {foot for foot, phase in phases.items() if phase == phases["tibia_l0"]} == tripod
+    assert len(phases) == 6
+    eye = np.array(task["views"]["default"]["eye"])
+    # All of it is within 0.41 m of the trunk's middle, and the lens is 35 degrees high.
+    assert np.linalg.norm(eye) > 0.8
+
+
+def test_the_height_follows_from_the_pose_that_is_written(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    robot, why = embodiment_of(capsys, "spider.urdf")
-    assert robot["fix_base"] is False
-    assert len(robot["names"]["feet"]) == 6
-    assert "no such pose was found for c1, c4" in why["init_qpos"]
+    new(capsys, "embodiment", "insect", "--robot", "insect.urdf")
+    path = Path("conf/embodiment/insect.yaml")
+    text = path.read_text()
+    pose = 'init_qpos: {"j1.*": 0, "j2.*": 0.8, "j3.*": 0.77}'
+    path.write_text(re.sub("init_qpos: .*", pose, text))
+    new(capsys, "task", "mine", "--kind", "velocity", "--robot", "insect.urdf")
+    assert "  init_pos: [0, 0, 0.22]" in Path("conf/task/mine.yaml").read_text()
+    assert robot_in("insect")["init_pos"] == [0, 0, 0.15]
+    assert main(["validate", "task=mine"]) == 0
+    assert "below the ground" not in capsys.readouterr().err
+    assert main(["validate", "task=mine", "task.robot.init_pos=[0,0,0.15]"]) == 0
+    err = capsys.readouterr().err
+    assert re.search(r"robot: at the start tibia_.. is \d cm below the ground, and 5 other", err)
+
+
+def test_a_robot_that_lies_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    stiff = re.sub('upper="(1.4|2.4)"', 'upper="0.05"', insect()).replace(
+        'lower="-1.4"', 'lower="-0.05"'
+    )
+    stiff = stiff.replace('lower="-2.4"', 'lower="-0.05"')
+    Path("stiff.urdf").write_text(stiff)
+    _, why = embodiment_of(capsys, "stiff.urdf")
+    assert "no such pose was found for tibia_l0" in why["init_qpos"]
+    error = error_of(capsys, "task", "t", "--kind", "velocity", "--embodiment", "mine")
+    assert "needs a pose in which mine stands" in error
+    assert "Give init_qpos for j1_l0, j2_l0, j3_l0, j1_r0" in error
+    assert not Path("conf/task/t.yaml").exists()
 
 
 @pytest.mark.parametrize("text", [hand(), two_arms(), ARM])

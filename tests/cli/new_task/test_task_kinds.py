@@ -76,6 +76,11 @@ def test_a_task_of_each_kind_is_valid_and_steps(
     assert test == "tests/test_mine.py"
     assert f"/embodiment@_here_: {Path(embodiment).stem}" in Path(task).read_text()
     assert main(["validate", "--train", "task=mine"]) == 0, capsys.readouterr().err
+    if kind != "velocity":
+        goal = read(task)["objects"]["goal"]
+        assert goal["reached"]["by"] == ("robot/tool" if kind == "reach" else "cube")
+        red, green, blue, _ = goal["shape"]["visual_material"]["base_color"]
+        assert green < max(red, blue)  # green is for what was reached
     env = embodichain.make("mine", 2, ["seed=1"])
     env.reset()
     for _ in range(5):

@@ -67,6 +67,30 @@ def test_what_diverges_everywhere_is_refused(
     assert "task.physics.physics_dt: the physics diverges in all 2 environments" in err
 
 
+@pytest.mark.parametrize(
+    ("height", "note"), [(0.0, "box is 5 cm below the ground"), (0.045, ""), (0.5, "")]
+)
+def test_what_begins_in_the_ground_is_named(
+    empty_cwd: Path, capsys: pytest.CaptureFixture[str], height: float, note: str
+) -> None:
+    write_task()
+    box = f"task.objects.box.init_pos=[0.3,0,{height}]"
+    assert main(["validate", "task=mine", box, "task.objects.box.shape.size=[0.1,0.1,0.1]"]) == 0
+    err = capsys.readouterr().err
+    assert ("below the ground" in err) == bool(note)
+    assert note in err
+
+
+def test_what_a_reset_lifts_out_of_the_ground_is_not_named(
+    empty_cwd: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_task()
+    lifted = "task.events.place.params.position_range=[[0,0,0.2],[0,0,0.3]]"
+    words = ["task.objects.box.init_pos=[0.3,0,0]", lifted]
+    assert main(["validate", "task=mine", *words]) == 0
+    assert "below the ground" not in capsys.readouterr().err
+
+
 def test_a_success_that_is_always_true_is_named(
     empty_cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -35,7 +35,7 @@ actions: {legs: {func: joint_action, params: {of: {uid: go}}}}
 commands:
   velocity:
     func: uniform_velocity
-    params: {of: {uid: go}, ranges: {lin_vel_x: [0.8, 0.8], ang_vel_z: [0.5, 0.5]}}
+    params: {of: {uid: go}, ranges: {lin_vel_x: [0.8, 0.8], ang_vel_z: [RATE, RATE]}}
 events:
   base:
     func: reset_root_state_uniform
@@ -50,17 +50,21 @@ metrics:
       {of: {uid: go}, command_name: velocity, linear_threshold: 0.3, angular_threshold: 0.2}
 """
 SIZE = (96, 72)
-Make = Callable[[float], BaseEnv]
+Make = Callable[..., BaseEnv]
 
 
 @pytest.fixture
 def make(tmp_path: Path) -> Make:
-    """A function that makes two environments whose robots begin with a speed, m/s."""
+    """A function that makes two environments whose robots begin with a speed, m/s.
+
+    They are to turn with a rate, rad/s.
+    """
     (tmp_path / "walker.xml").write_text(MJCF, encoding="utf-8")
     (tmp_path / "task").mkdir()
 
-    def build(speed: float) -> BaseEnv:
+    def build(speed: float, rate: float = 0.5) -> BaseEnv:
         text = TASK.replace("FILE", str(tmp_path / "walker.xml")).replace("SPEED", str(speed))
+        text = text.replace("RATE", str(rate))
         (tmp_path / "task" / "walk.yaml").write_text(text, encoding="utf-8")
         env = embodichain.make("walk", num_envs=2, seed=1, config_dir=tmp_path)
         env.reset()
@@ -98,6 +102,17 @@ def test_arrows_point_where_the_robot_is_to_go(make) -> None:
     assert columns.max() > trunk + 14  # forward, to the right
     assert columns.min() > trunk - 5
     assert np.ptp(rows) > 3  # the turning rate, upwards
+
+
+def test_the_arrow_of_turning_clockwise_is_above_the_robot_too(make) -> None:
+    lowest = []
+    for rate in (1.5, -1.5):
+        with closing(make(0.0, rate)) as env:
+            picture = env.sim.render(0, width=SIZE[0], height=SIZE[1]).astype(int)
+        rows, _ = np.nonzero(picture[..., 0] - picture[..., 2] > 60)
+        assert np.ptp(rows) > 12  # 18 cm
+        lowest.append(int(rows.max()))
+    assert lowest[1] == pytest.approx(lowest[0], abs=3)
 
 
 def test_films_and_pictures_of_a_log_show_commands(make, tmp_path: Path) -> None:

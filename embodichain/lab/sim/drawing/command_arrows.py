@@ -1,8 +1,8 @@
 """`arrows_of`: commands as arrows in pictures for people.
 
 A velocity is an arrow in the plane above the body that is to move so, and one along the vertical
-for the turning rate; both are green while the body moves as commanded. A pose is three arrows,
-red, green and blue.
+for the turning rate, which points down where the body turns clockwise; both are green while the
+body moves as commanded. A pose is three arrows, red, green and blue.
 """
 
 from __future__ import annotations
@@ -75,14 +75,24 @@ def _velocity_arrows(
     rotation = np.stack([zero, zero, turning], axis=1)
     starts = origins.copy()
     starts[:, 2] += command.height + _ABOVE
+    rotation_starts = starts.copy()
+    # An arrow that points down ends where the others begin: above the robot, not in it.
+    rotation_starts[:, 2] += _METRES_PER_RATE * np.maximum(-turning, 0.0)
     is_followed = _is_followed(command, motion[:, :2], turning, state)
     color = np.where(is_followed[:, None], _GREEN, _ORANGE)
     return [
-        Arrows(starts, vectors, _RADIUS, _colors(speed > _SLOWEST, color))
-        for vectors, speed in (
-            (_METRES_PER_SPEED * motion, np.hypot(forward, left)),
-            (_METRES_PER_RATE * rotation, np.abs(turning)),
-        )
+        Arrows(
+            starts,
+            _METRES_PER_SPEED * motion,
+            _RADIUS,
+            _colors(np.hypot(forward, left) > _SLOWEST, color),
+        ),
+        Arrows(
+            rotation_starts,
+            _METRES_PER_RATE * rotation,
+            _RADIUS,
+            _colors(np.abs(turning) > _SLOWEST, color),
+        ),
     ]
 
 
