@@ -118,6 +118,7 @@ def test_two_kinds_at_the_same_time_share_an_embodiment(
     text = "robot: {uid: robot, fpath: arm.urdf}\n"
     try_nothing(monkeypatch, Trial(1.0), other_file=text)
     facts = new(capsys, "task", "mine", "--kind", "push")
+    assert facts["expert"] == {"success": 1, "failure": "", "failure_count": 0}
     assert facts["wrote"] == ["conf/task/mine.yaml", "tests/test_mine.py"]
     assert facts["guessed"][0]["key"] == "embodiment"
     assert Path("conf/embodiment/arm.yaml").read_text() == text

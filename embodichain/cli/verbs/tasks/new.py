@@ -411,7 +411,11 @@ def _report(
         if guesses:
             facts["guessed"] = [{"key": g.key, "value": g.value, "why": g.why} for g in guesses]
         if trial is not None:
-            facts["expert"] = {"success": trial.success, "failure": trial.failure}
+            facts["expert"] = {
+                "success": trial.success,
+                "failure": trial.failure,
+                "failure_count": trial.failure_count,
+            }
         print_json(facts)
         return
     lines = [f"wrote {path}" for path in written]
