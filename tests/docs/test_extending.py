@@ -52,7 +52,7 @@ def test_every_kind_has_its_row_and_its_signature() -> None:
     rows = dict(re.findall(r"^\| (\w+) \| (.*?) \|", PAGE, re.MULTILINE))
     assert {*KINDS, "policy"} <= rows.keys()
     for kind in (*KINDS, "policy"):
-        if kind not in ("action", "command") and rows[kind] != "likewise":
+        if kind not in ("action", "command") and rows[kind] != "as a reward":
             assert rows[kind] == f"`f({', '.join(LEADING[kind])}, **params)`"
     assert LEADING["termination"] == LEADING["metric"] == LEADING["reward"]
 

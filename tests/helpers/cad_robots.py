@@ -1,4 +1,4 @@
-"""Robots as files from CAD have them, as text: no feet, no free joint, efforts of 0."""
+"""Robots as files from CAD have them, as text: no feet, no free joint, limits of 0."""
 
 from __future__ import annotations
 
@@ -154,3 +154,49 @@ def ant() -> str:
     trunk = '<body name="torso" pos="0 0 0.75"><freejoint/><geom type="sphere" size="0.2"/>'
     world = f"<worldbody>{trunk}{''.join(legs)}</body></worldbody>"
     return f'<mujoco model="ant"><compiler angle="radian"/>{world}</mujoco>'
+
+
+def clamp_arm(*, effort: float = 0, velocity: float = 0, scale: float = 1) -> str:
+    """An arm of five hinges, with two sliding clamps that no name calls fingers.
+
+    Args:
+        effort: The limit of each joint, N m or N.
+        velocity: Likewise, rad/s or m/s.
+        scale: Of its masses.
+    """
+    links = (
+        ("Part_1", 3.0, "0 0 0.05", '<cylinder radius="0.09" length="0.1"/>'),
+        ("Bracket_2", 1.2, "0 0 0.08", '<cylinder radius="0.05" length="0.16"/>'),
+        ("Tube_1", 0.9, "0.15 0 0", '<box size="0.3 0.05 0.05"/>'),
+        ("Tube_2", 0.6, "0.13 0 0", '<box size="0.26 0.045 0.045"/>'),
+        ("Servo_7", 0.3, "0.04 0 0", '<box size="0.08 0.04 0.04"/>'),
+        ("Plate", 0.2, "0.015 0 0", '<box size="0.03 0.12 0.05"/>'),
+        ("Clamp_A", 0.05, "0.04 0 0", '<box size="0.08 0.012 0.03"/>'),
+        ("Clamp_B", 0.05, "0.04 0 0", '<box size="0.08 0.012 0.03"/>'),
+    )
+    joints = (
+        ("Revolute_1", "Part_1", "Bracket_2", "0 0 0.1", "0 0 1", -3.1, 3.1),
+        ("Revolute_2", "Bracket_2", "Tube_1", "0 0 0.18", "0 1 0", -2.4, 1.2),
+        ("Revolute_3", "Tube_1", "Tube_2", "0.3 0 0", "0 1 0", -0.4, 2.7),
+        ("Revolute_4", "Tube_2", "Servo_7", "0.26 0 0", "0 -1 0", -2.2, 2.2),
+        ("Revolute_5", "Servo_7", "Plate", "0.08 0 0", "1 0 0", -3.1, 3.1),
+        ("Slider_1", "Plate", "Clamp_A", "0.03 0.05 0", "0 -1 0", 0, 0.042),
+        ("Slider_2", "Plate", "Clamp_B", "0.03 -0.05 0", "0 1 0", 0, 0.042),
+    )
+    text = ""
+    for name, mass, place, shape in links:
+        inertia = mass * scale * 2e-3
+        text += (
+            f'<link name="{name}"><inertial><origin xyz="{place}"/><mass value="{mass * scale}"/>'
+            f'<inertia ixx="{inertia}" ixy="0" ixz="0" iyy="{inertia}" iyz="0" izz="{inertia}"/>'
+            f'</inertial><collision><origin xyz="{place}"/><geometry>{shape}</geometry>'
+            "</collision></link>"
+        )
+    for name, parent, child, place, axis, low, high in joints:
+        kind = "revolute" if name.startswith("Rev") else "prismatic"
+        text += (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{place}"/><axis xyz="{axis}"/><limit lower="{low}" upper="{high}" '
+            f'effort="{effort:g}" velocity="{velocity:g}"/></joint>'
+        )
+    return f'<robot name="Assembly">{text}</robot>'

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["Guess"]
+__all__ = ["Guess", "some_of"]
 
 
 @dataclass(frozen=True)
@@ -24,3 +25,11 @@ class Guess:
     def __str__(self) -> str:
         """Return it as one line for people."""
         return f"{self.key}: {self.value or '?'} ({self.why})"
+
+
+def some_of(names: Sequence[str]) -> str:
+    """A few names, and how many there are besides."""
+    shown = ", ".join(names[:3])
+    if len(names) <= 3:
+        return shown
+    return f"{shown} and {len(names) - 3} more"

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from embodichain.cli.new_task.guesses import Guess
+from embodichain.cli.new_task.effort_limits import guess_effort, guess_effort_limits
+from embodichain.cli.new_task.guesses import Guess, some_of
 from embodichain.cli.new_task.legs import FOOT_NAME, Leg, leg_gains
 from embodichain.cli.new_task.new_robot import JAW_NAME, RobotFile, read_robot_file
 from embodichain.cli.new_task.tool_point import (
@@ -339,12 +340,26 @@ def _drive_guess(robot: RobotFile) -> Guess:
     if not parsed.own_actuators:
         effort = ", max_effort: file" if _knows_efforts(robot) else ""
         armature = ", armature: 0.01" if robot.legs else ""
+        if robot.legs or robot.wheels:
+            if robot.joints_without_effort:
+                names = some_of(robot.joints_without_effort)
+                why += f"; the file's efforts of 0 ({names}) are taken as no limit: max_effort"
+                why += " gives one, in N m or N"
+        else:
+            limits = guess_effort_limits(parsed, stiffness, robot.joints_without_effort)
+            effort = f", max_effort: {limits.value}"
+            if limits.why:
+                why += f"; {limits.why}"
+        if robot.joints_without_velocity:
+            names = some_of(robot.joints_without_velocity)
+            why += f"; the file's velocities of 0 ({names}) are taken as no limit: max_velocity"
+            why += " gives one, in rad/s or m/s"
         value = f"{{stiffness: {stiffness:g}, damping: {damping:g}{effort}{armature}}}"
-        if robot.joints_without_effort:
-            why += f"; the file's efforts of 0 ({_some(robot.joints_without_effort)}) are taken as"
-            why += " no limit: max_effort gives one, in N m or N"
         return Guess("drive_pros", value, why)
     motors = _motors(robot)
+    unlimited = [name for name, effort in motors.items() if not effort]
+    if not robot.legs and not robot.wheels:
+        motors |= {name: guess_effort(parsed.model, name, stiffness) for name in unlimited}
     if not motors:
         return Guess(
             "drive_pros",
@@ -362,6 +377,8 @@ def _drive_guess(robot: RobotFile) -> Guess:
         if values
     )
     why = "drives in place of the file's motors, which take torques: tune the gains"
+    if unlimited:
+        why += f"; the file has no limits of {some_of(unlimited)}"
     return Guess("drive_pros", f"{{{value}}}", why)
 
 
@@ -399,14 +416,6 @@ def _knows_efforts(robot: RobotFile) -> bool:
     }
     unlimited = {name for name, limit in limits.items() if limit >= 1e9}
     return len(unlimited) < len(limits) and unlimited <= {*robot.joints_without_effort}
-
-
-def _some(names: Sequence[str]) -> str:
-    """A few names, and how many there are besides."""
-    shown = ", ".join(names[:3])
-    if len(names) <= 3:
-        return shown
-    return f"{shown} and {len(names) - 3} more"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from embodichain.cli.new_task.effort_limits import EffortLimits, guess_effort_limits
+from embodichain.cli.new_task.guesses import Guess, some_of
 from embodichain.cli.new_task.legs import (
     FOOT_NAME,
     Leg,
@@ -31,7 +33,14 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 
-__all__ = ["JAW_NAME", "UR10", "RobotFile", "describe_robot", "read_robot_file"]
+__all__ = [
+    "JAW_NAME",
+    "UR10",
+    "DescribedRobot",
+    "RobotFile",
+    "describe_robot",
+    "read_robot_file",
+]
 
 _RESERVED_UIDS = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
@@ -63,6 +72,8 @@ actions:                           # controls of its actuators
     params:
       of: {{uid: {uid}}}
 """
+_STIFFNESS = 500.0
+"""Stiffness of the drives of a robot without gains, N m/rad or N/m."""
 _SUFFICIENT_REACH = 0.6
 """Share of the marker's radius: an arm that reaches less from its zero pose is bent."""
 _CLIP = "      clip: [-1, 1]\n"
@@ -74,6 +85,9 @@ _TOOL_NAME = re.compile(
 )
 JAW_NAME = re.compile(r"grip|finger|jaw|claw|thumb", re.IGNORECASE)
 """How joints are called that move a single jaw of a gripper."""
+_WHY_KEYFRAME = "the file's keyframe"
+_WHY_ZERO = "zero; the middle of its range where a joint cannot be at zero"
+_WHY_BENT = "bent from zero, so that the tool can move in all directions"
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
 
 
@@ -92,7 +106,7 @@ class _NewRobot:
         scale: Displacement for an action of 1, rad or m: one number, or joint -> number.
         axes: (3,) 1 for axes of the world along which the marker is moved, else 0.
         is_floating: Whether the base is not fixed to the world.
-        has_effort_limits: Whether the file has an effort limit for every driven joint.
+        max_effort: Effort limits of its drives as YAML; empty for none.
         has_drives: Whether the file has drives; an MJCF without actuators has none.
     """
 
@@ -106,16 +120,16 @@ class _NewRobot:
     scale: float | Mapping[str, float]
     axes: Sequence[float] = (1.0, 1.0, 1.0)
     is_floating: bool = False
-    has_effort_limits: bool = True
+    max_effort: str = "file"
     has_drives: bool = True
 
     def words(self) -> dict[str, str]:
         """Return the template variables: the first block is for YAML, the second for Python."""
         halves = [self.radius * axis for axis in self.axes]
         scale = _map(self.scale) if isinstance(self.scale, Mapping) else _number(self.scale)
-        drives = "stiffness: 500, damping: 50"
-        if self.has_effort_limits:
-            drives += ", max_effort: file"
+        drives = f"stiffness: {_STIFFNESS:g}, damping: 50"
+        if self.max_effort:
+            drives += f", max_effort: {self.max_effort}"
         standing = "gravcomp: 1                      # it does not sag"
         if self.is_floating:
             standing = "fix_base: false"
@@ -167,6 +181,7 @@ class RobotFile:
         legs: Those of a robot that walks.
         wheels: The joints that turn wheels, if they are all that it has.
         joints_without_effort: Joints whose effort limit in the URDF is 0: none is known.
+        joints_without_velocity: Joints whose velocity limit in the URDF is 0, likewise.
         why_home: What the first pose was guessed from.
         why_floating: What was guessed from that its base floats; empty if it is fixed.
     """
@@ -181,6 +196,7 @@ class RobotFile:
     legs: tuple[Leg, ...] = ()
     wheels: tuple[str, ...] = ()
     joints_without_effort: tuple[str, ...] = ()
+    joints_without_velocity: tuple[str, ...] = ()
     why_home: str = ""
     why_floating: str = ""
 
@@ -216,10 +232,10 @@ def read_robot_file(fpath: str, feet: Sequence[str] = (), *, shall_walk: bool = 
         parsed = _parse(fpath, is_floating)
     data = _first_state(parsed, is_floating)
     tool = _find_tool(parsed)
-    why_home = "the file's keyframe"
+    why_home = _WHY_KEYFRAME
     legs: list[Leg] = []
     if parsed.keyframe is None:
-        why_home = "zero; the middle of its range where a joint cannot be at zero"
+        why_home = _WHY_ZERO
     wheels = find_wheels(parsed.model, data)
     if is_floating and not wheels:
         mujoco.mj_comPos(parsed.model, data)
@@ -243,7 +259,7 @@ def read_robot_file(fpath: str, feet: Sequence[str] = (), *, shall_walk: bool = 
         reach = ToolReach(parsed.model, data, tool, joints, scale=np.array(list(scales.values())))
         _bend(parsed, data, reach, joints, _SUFFICIENT_REACH * 0.2)
         if (data.qpos != before).any():
-            why_home = "bent from zero, so that the tool can move in all directions"
+            why_home = _WHY_BENT
     lift = _lift(lowest_point(parsed.model, data), is_floating)
     return RobotFile(
         parsed=parsed,
@@ -259,6 +275,9 @@ def read_robot_file(fpath: str, feet: Sequence[str] = (), *, shall_walk: bool = 
             parsed.joint_names[i]
             for i in active
             if parsed.joint_names[i] in file.limits.zero_effort
+        ),
+        joints_without_velocity=tuple(
+            parsed.joint_names[i] for i in active if parsed.joint_names[i] in parsed.zero_velocity
         ),
         why_home=why_home,
         why_floating=why_floating,
@@ -325,8 +344,23 @@ def _legs(parsed: ParsedArticulation, data: mujoco.MjData, feet: Sequence[str]) 
     return legs
 
 
-def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float | None]:
-    """Read a robot's file; returns the template variables, and the time step of an MJCF in s.
+@dataclass(frozen=True)
+class DescribedRobot:
+    """A robot as the templates of a task without a kind have it.
+
+    Attributes:
+        words: The template variables.
+        file_dt: The time step of an MJCF, s; None for a URDF.
+        guesses: What was guessed.
+    """
+
+    words: dict[str, str]
+    file_dt: float | None
+    guesses: Sequence[Guess]
+
+
+def describe_robot(fpath: str, *, python: bool) -> DescribedRobot:
+    """Read a robot's file, and guess what a task without a kind needs to know of it.
 
     Args:
         fpath: A URDF or MJCF, as `get_data_path` takes it.
@@ -358,6 +392,8 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
     if wheels:
         raise ConfigError(f"{parsed.path}: {only_wheels(wheels)}")
     tool = _find_tool(parsed)
+    why_home = _WHY_KEYFRAME if parsed.keyframe is not None else _WHY_ZERO
+    why_radius = "a quarter of the tool's distance from the root, and 0.2 m at most"
     scales = _scales(parsed, active)
     reach_from_root = math.dist(tool.pos(data), data.body(parsed.root_link_name).xpos)
     radius = min(0.2, max(0.04, 0.25 * reach_from_root))
@@ -367,9 +403,15 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
         joints = list(scales)
         reach = ToolReach(parsed.model, data, tool, joints, scale=np.array(list(scales.values())))
         if parsed.keyframe is None:
+            before = data.qpos.copy()
             _bend(parsed, data, reach, joints, _SUFFICIENT_REACH * radius)
+            if (data.qpos != before).any():
+                why_home = _WHY_BENT
         pose = np.array([data.joint(name).qpos[0] for name in joints])
-        radius = reach.radius(pose, radius) or radius
+        reached = reach.radius(pose, radius)
+        if reached:
+            radius = reached
+            why_radius = "the actions reach all of these places"
         if reach.axes.any():
             axes = reach.axes.astype(float)
 
@@ -378,7 +420,11 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
     if is_floating:
         height += float(parsed.placement.root_pos[2])
     x, y, z = tool.pos(data).tolist()
-    effort_limits = parsed.qf_limits[active]
+    efforts = parsed.qf_limits[active]
+    limits = EffortLimits("file" if bool(((efforts > 0) & (efforts < math.inf)).all()) else "")
+    if not is_floating:
+        zero_effort = [name for name in parsed.joint_names if name in file.limits.zero_effort]
+        limits = guess_effort_limits(parsed, _STIFFNESS, zero_effort)
     scale: float | Mapping[str, float] = scales
     if len(set(scales.values())) == 1:
         scale = next(iter(scales.values()))
@@ -393,7 +439,7 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
         scale=scale,
         axes=axes.tolist(),
         is_floating=is_floating,
-        has_effort_limits=bool(((effort_limits > 0) & (effort_limits < math.inf)).all()),
+        max_effort=limits.value,
         has_drives=bool(parsed.control_names),
     )
     words = robot.words()
@@ -403,9 +449,43 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
         words["actions"] = _CONTROLS.format(uid=robot.uid)
         if not np.isfinite(parsed.ctrl_limits).all():
             words["actions"] += _CLIP
-    if file.is_urdf:
-        return words, None
-    return words, float(file.spec.option.timestep)
+    guesses = [Guess("robot.init_qpos", words["home"], why_home)]
+    if lift:
+        why_lift = "its lowest point is on the ground"
+        if not is_floating:
+            why_lift = "lower, a part would be in the ground"
+        guesses.insert(0, Guess("robot.init_pos", words["position"], why_lift))
+    guesses.append(Guess("tool", f"{tool.kind} {tool.name}", _why_tool(tool)))
+    if not python:
+        guesses.append(_drives_of(words["drives"], limits, parsed))
+    place = f"within {words['radius']} m of the tool"
+    guesses.append(Guess("marker", place, why_radius))
+    return DescribedRobot(
+        words=words,
+        file_dt=None if file.is_urdf else float(file.spec.option.timestep),
+        guesses=guesses,
+    )
+
+
+def _why_tool(tool: ToolFrame) -> str:
+    """What a tool was guessed from."""
+    if _TOOL_NAME.search(tool.name):
+        return f"a {tool.kind} that is called so"
+    return "the link at the end of the longest chain of joints, before its fingers"
+
+
+def _drives_of(words: str, limits: EffortLimits, parsed: ParsedArticulation) -> Guess:
+    """The drives of a task without a kind, as its YAML has them."""
+    value = words.partition("#")[0].removeprefix("drive_pros:").strip()
+    if parsed.own_actuators:
+        return Guess("robot.drive_pros", value, "its joints are moved by the actuators of the file")
+    why = "the file has no gains: tune them"
+    if limits.why:
+        why += f"; {limits.why}"
+    if parsed.zero_velocity:
+        why += f"; the file's velocities of 0 ({some_of(parsed.zero_velocity)}) are taken as no "
+        why += "limit"
+    return Guess("robot.drive_pros", value, why)
 
 
 def _parse(fpath: str, is_floating: bool) -> ParsedArticulation:

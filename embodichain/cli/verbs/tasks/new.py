@@ -182,14 +182,19 @@ def command(options: NewOptions) -> None:
     if options.python:
         _check_module(names)
     robot_words = UR10
+    guesses: Sequence[Guess] = ()
     step = TimeStep(0.005)
     if options.robot is not None:
-        robot_words, file_dt = describe_robot(options.robot, python=options.python)
-        step = time_step(file_dt, lambda trial: _yaml(robot_words | trial.words))
+        robot = describe_robot(options.robot, python=options.python)
+        robot_words = robot.words
+        guesses = robot.guesses
+        step = time_step(robot.file_dt, lambda trial: _yaml(robot_words | trial.words))
     files = _files(names, robot_words | step.words, python=options.python)
     _write(files)
     toml = _missing_toml(project, names, python=options.python)
-    _report(files, step, _next_commands(names), toml, json=options.json)
+    commands = _next_commands(names)
+    commands.append(_train_command(commands[-1]))
+    _report(files, step, commands, toml, guesses=guesses, json=options.json)
 
 
 def _write_embodiment(options: NewOptions) -> None:
@@ -264,21 +269,32 @@ def _write_kind(options: NewOptions) -> None:
         **kind_test_words(kind.name, alias.kind if alias else "link"),
     }
     files = {}
+    guesses = choice.guesses
     if embodiment.is_new:
-        files[names.conf / "embodiment" / f"{embodiment.name}.yaml"] = embodiment.text
+        path = names.conf / "embodiment" / f"{embodiment.name}.yaml"
+        # Another command may have written it while the expert was tried.
+        if options.robot is not None and _has_robot(path, options.robot):
+            guesses = [_guess_of_existing(path)]
+        else:
+            files[path] = embodiment.text
     files[yaml_file] = task.text
     files[names.test] = _fill("kind_test.py", words)
     files |= _missing_inits(names, python=False)
     _write(files)
     toml = _missing_toml(project, names, python=False)
     commands = _next_commands(names)
-    commands.append(commands[-1].replace("embodichain run", "embodichain train"))
+    run = commands[-1]
+    if task.trial is not None and task.trial.is_poor:
+        commands[-1] = f"{run} policy=expert video=true"
+        _warn_of_expert(commands[-1], task.trial)
+    else:
+        commands.append(_train_command(run))
     _report(
         files,
         task.time_step,
         commands,
         toml,
-        guesses=[*choice.guesses, *task.guesses],
+        guesses=[*guesses, *task.guesses],
         trial=task.trial,
         json=options.json,
     )
@@ -334,14 +350,24 @@ def _embodiment_of(options: NewOptions, names: _Names, kind: str) -> _Embodiment
             )
             text = embodiment_text(name, guesses)
             return _EmbodimentChoice(NewEmbodiment(name, text, is_new=True), guesses)
-        if os.path.normpath(_robot_file(path) or "") == os.path.normpath(options.robot):
+        if _has_robot(path, options.robot):
             if options.feet is not None:
                 message = f"--feet: {path.as_posix()} exists, and is not changed"
                 raise ConfigError(f"{message}: write names.feet and control_parts.legs there")
-            why = f"{path.as_posix()}, which exists, has this file"
             text = path.read_text(encoding="utf-8")
-            return _EmbodimentChoice(NewEmbodiment(name, text), [Guess("embodiment", name, why)])
+            return _EmbodimentChoice(NewEmbodiment(name, text), [_guess_of_existing(path)])
     raise ConfigError(f"{own_files.as_posix()} has a hundred embodiments of {stem}: choose one")
+
+
+def _has_robot(path: Path, robot: str) -> bool:
+    """Whether a file of an embodiment exists and names a robot's file."""
+    return os.path.normpath(_robot_file(path) or "") == os.path.normpath(robot)
+
+
+def _guess_of_existing(path: Path) -> Guess:
+    """The embodiment that is taken because its file exists."""
+    why = f"{path.as_posix()}, which exists, has this file"
+    return Guess("embodiment", path.stem, why)
 
 
 def _robot_file(path: Path) -> str | None:
@@ -385,7 +411,11 @@ def _report(
         if guesses:
             facts["guessed"] = [{"key": g.key, "value": g.value, "why": g.why} for g in guesses]
         if trial is not None:
-            facts["expert"] = {"success": trial.success, "failure": trial.failure}
+            facts["expert"] = {
+                "success": trial.success,
+                "failure": trial.failure,
+                "failure_count": trial.failure_count,
+            }
         print_json(facts)
         return
     lines = [f"wrote {path}" for path in written]
@@ -394,7 +424,7 @@ def _report(
     if trial is not None:
         lines.append(f"its expert succeeds in {100 * trial.success:.0f} % of {EPISODES} episodes")
         if trial.failure:
-            lines.append(f"  an episode that failed: {trial.failure}")
+            lines.append(f"  most of those that failed: {trial.failure}")
     if step.why:
         lines.append(f"physics_dt {step.dt:g} s: {step.why}")
     lines += ["", "next:"]
@@ -403,6 +433,27 @@ def _report(
         lines += ["", "to find it where the package is installed, pyproject.toml needs:"]
         lines += [f"  {line}".rstrip() for line in toml.splitlines()]
     sys.stdout.write("\n".join(lines) + "\n")
+
+
+def _train_command(run: str) -> str:
+    """The command that trains the task which a command runs."""
+    return run.replace("embodichain run", "embodichain train", 1)
+
+
+def _warn_of_expert(command: str, trial: Trial) -> None:
+    """Print on stderr that a task's own expert mostly fails, why, and what to look at.
+
+    Args:
+        command: The command that films it.
+        trial: How it did.
+    """
+    sys.stderr.write(
+        f"warning: the task's own expert succeeds in only {100 * trial.success:.0f} % of "
+        f"{EPISODES} episodes: do not train before you know why\n"
+        f"  most often ({trial.failure_count} times): {trial.failure}\n"
+        "  look first at the guesses of the tool, the fingers and drive_pros, and at a film:\n"
+        f"  {command}\n"
+    )
 
 
 def _check_name(name: str) -> None:

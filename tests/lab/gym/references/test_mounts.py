@@ -399,8 +399,8 @@ def test_a_new_task_takes_the_site_as_the_tool(tmp_path) -> None:
     motors = "".join(f'<position joint="j{i}" kp="100" ctrlrange="-3 3"/>' for i in range(1, 7))
     path = tmp_path / "arm.xml"
     path.write_text(ARM.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>"))
-    words, _ = describe_robot(str(path), python=False)
+    words = describe_robot(str(path), python=False).words
     assert words["picked"] == "site: tcp"
     path.write_text(path.read_text().replace('"tcp"', '"marking"'))
-    words, _ = describe_robot(str(path), python=False)
+    words = describe_robot(str(path), python=False).words
     assert words["picked"] == "link_names: [hand]"

@@ -7,6 +7,7 @@ may turn.
 from __future__ import annotations
 
 import dataclasses
+import logging
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED
 from embodichain.lab.sim.reads.frames import link_frame
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.notes import warn_once
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,6 +35,8 @@ __all__ = [
     "tool_orientation",
     "usual_speeds",
 ]
+
+_log = logging.getLogger(__name__)
 
 Orientation = Literal["any", "keep", "free"]
 """Whether an action chooses the tool's orientation, keeps it, or leaves it free."""
@@ -161,7 +165,18 @@ def usual_speeds(asset: Articulation, joints: NDArray[np.int64], solver: ArmSolv
         joints: (k,) some of its joints.
         solver: The kinematics of a tool that these joints move.
     """
-    limits = np.minimum(asset.parsed.qvel_limits, asset.parsed.max_velocity)[joints]
+    parsed = asset.parsed
+    limits = np.minimum(parsed.qvel_limits, parsed.max_velocity)[joints]
     is_hinge = solver.chain.hinges[np.isin(solver.chain.joints, joints)]
     usual = np.where(is_hinge, _USUAL_HINGE_SPEED, _USUAL_SLIDE_SPEED)
-    return np.where(limits < UNLIMITED, limits, usual)
+    is_limited = limits < UNLIMITED
+    unlimited_names = [parsed.joint_names[i] for i in joints[~is_limited]]
+    zero_names = [name for name in unlimited_names if name in parsed.zero_velocity]
+    if zero_names:
+        warn_once(
+            _log,
+            f'{parsed.path}: velocity="0" is taken as no limit for joints {", ".join(zero_names)}: '
+            f"the tool is moved by at most {_USUAL_HINGE_SPEED:.3g} rad/s of a hinge and "
+            f"{_USUAL_SLIDE_SPEED:g} m/s of a slide; drive_pros.max_velocity gives limits",
+        )
+    return np.where(is_limited, limits, usual)

@@ -87,6 +87,7 @@ from embodichain.lab.sim.compiler.robot.robot_notes import (
     overloaded_drives,
     starts_beyond_limits,
     without_effort,
+    without_velocity,
 )
 from embodichain.lab.sim.compiler.robot.robot_root import Root, place, set_root
 from embodichain.lab.sim.compiler.robot.tool_home import check_home, move_to_home
@@ -284,6 +285,7 @@ def _compile(
         lines.append(f"no joint is driven: {reason}")
     notes = [*robot.notes, *(f"{file.path}: {line}" for line in lines)]
     notes += without_effort(cfg, joints, mimics)
+    notes += without_velocity(cfg, joints, mimics)
     notes += driven_mimics(cfg, file, names, mimics, settings.parts)
 
     if not problems:
@@ -373,6 +375,7 @@ def _compile(
         qpos_limits=joints.qpos_limits,
         qvel_limits=joints.qvel_limits,
         qf_limits=joints.qf_limits,
+        zero_velocity=tuple(name for name in names if name in joints.limits.zero_velocity),
         init_qpos=qpos,
         init_qvel=np.zeros(len(qpos)) if keyframe is None else keyframe.qvel,
         stiffness=np.where(uses_servo, servos.stiffness, gains.stiffness),

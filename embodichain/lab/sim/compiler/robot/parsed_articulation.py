@@ -41,6 +41,7 @@ class ParsedArticulation:
         fixed_base: Whether the root is fixed (a mocap body) or floats on a free joint.
         qpos_limits: (D, 2) rad or m; infinite where there is none.
         qvel_limits, qf_limits: From the file; inf where it has none.
+        zero_velocity: Joints whose velocity limit in a URDF is 0, which is taken as none.
         init_qpos: Initial positions.
         init_qvel: Initial velocities: the keyframe's, else 0.
         stiffness: Gains of drives and of the file's servos; 0 without either.
@@ -93,6 +94,7 @@ class ParsedArticulation:
     qpos_limits: F64
     qvel_limits: F64
     qf_limits: F64
+    zero_velocity: tuple[str, ...]
     init_qpos: F64
     init_qvel: F64
     stiffness: F64

@@ -26,6 +26,7 @@ __all__ = [
     "overloaded_drives",
     "starts_beyond_limits",
     "without_effort",
+    "without_velocity",
 ]
 
 _LARGEST_ROBOT = 10.0
@@ -103,10 +104,7 @@ def without_effort(
     if cfg.drive_pros.max_effort != "file":
         return []
     place_of_zero = joints.limits.zero_effort
-    followers = {mimic.joint for mimic in mimics}
-    driven = [
-        name for i, name in enumerate(joints.names) if name in place_of_zero and i not in followers
-    ]
+    driven = _leaders_with(place_of_zero, joints, mimics)
     if not driven:
         return []
     places = ", ".join(f"{name!r} ({place_of_zero[name]})" for name in driven)
@@ -115,6 +113,34 @@ def without_effort(
         f'effort="0" is taken as no limit for joints {places}: write their limits into the file, '
         f"or drive_pros.max_effort: {{{entries}}}, in N m or N; a joint that shall not push needs "
         "stiffness 0 and damping 0"
+    ]
+
+
+def without_velocity(
+    cfg: ArticulationCfg, joints: FileJoints, mimics: Sequence[JointCoupling]
+) -> list[str]:
+    """Return a message about joints of URDF files whose velocity limit, which is taken, is 0."""
+    if cfg.drive_pros.max_velocity != "file":
+        return []
+    place_of_zero = joints.limits.zero_velocity
+    driven = _leaders_with(place_of_zero, joints, mimics)
+    if not driven:
+        return []
+    places = ", ".join(f"{name!r} ({place_of_zero[name]})" for name in driven)
+    entries = ", ".join(f"{exact_pattern(name)}: SPEED" for name in driven)
+    return [
+        f'velocity="0" is taken as no limit for joints {places}: write their limits into the '
+        f"file, or drive_pros.max_velocity: {{{entries}}}, in rad/s or m/s"
+    ]
+
+
+def _leaders_with(
+    place_of_zero: Mapping[str, str], joints: FileJoints, mimics: Sequence[JointCoupling]
+) -> list[str]:
+    """The joints with a limit of 0 that do not follow others."""
+    followers = {mimic.joint for mimic in mimics}
+    return [
+        name for i, name in enumerate(joints.names) if name in place_of_zero and i not in followers
     ]
 
 

@@ -272,17 +272,6 @@ def _check_velocities(
     cfg: JointDrivePropertiesCfg, joints: FileJoints, overrides: _Overrides
 ) -> list[Problem]:
     """Return mistakes of `max_velocity`: a joint that could never move."""
-    if cfg.max_velocity == "file":
-        stuck = joints.limits.zero_velocity
-        return [
-            Problem(
-                "max_velocity",
-                f'{stuck[name]}: joint {name!r} has velocity="0": it could never move. Write its '
-                "speed into the file, or a map (joint: rad/s or m/s) or null (no limit) here",
-            )
-            for name in joints.names
-            if name in stuck
-        ]
     if any(override.get("max_velocity") == 0 for override in overrides.values()):
         return [Problem("max_velocity", "must be positive; null means no limit")]
     return []

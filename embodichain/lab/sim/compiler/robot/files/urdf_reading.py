@@ -105,7 +105,7 @@ class UrdfLimits:
     """What `<limit>` elements say beyond the ranges that MuJoCo reads.
 
     Attributes:
-        velocity: Joint -> velocity limit, where the file has one.
+        velocity: Joint -> velocity limit, where the file has one that is not 0.
         zero_effort, zero_velocity: Joint -> file and line of an effort or a velocity of 0.
         notes: Messages about ranges that are not limits, without the file.
     """
@@ -162,10 +162,11 @@ def read_limits(path: Path, root: ET.Element, line_of: Lines) -> UrdfLimits:
         place = f"{path}:{line_of[limit]}"
         values, mistakes = _read_limit(limit, f"{place}: joint {name!r}")
         problems += mistakes
-        if "velocity" in values:
-            velocity[name] = values["velocity"]
+        # CAD exporters write 0 where they do not know a limit.
         if values.get("velocity") == 0:
             zero_velocity[name] = place
+        elif "velocity" in values:
+            velocity[name] = values["velocity"]
         if values.get("effort") == 0:
             zero_effort[name] = place
         low = values.get("lower", 0.0)

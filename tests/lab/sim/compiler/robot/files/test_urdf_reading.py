@@ -1,5 +1,7 @@
 """What a URDF says and MuJoCo does not read is refused or told, by file, line and name."""
 
+import math
+
 import pytest
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, JointDrivePropertiesCfg, RobotCfg
@@ -45,20 +47,20 @@ def test_an_effort_of_zero_is_told_where_the_files_limits_are_taken(tmp_path):
     assert any("'wrist/elbow'" in note for note in parse_articulation("r", cfg).notes)
 
 
-def test_a_velocity_of_zero_is_refused_where_the_files_limits_are_taken(tmp_path):
+def test_a_velocity_of_zero_is_told_where_the_files_limits_are_taken(tmp_path):
     limit = LIMIT.replace('velocity="2"', 'velocity="0.0"')
-    with pytest.raises(ConfigError) as raised:
-        parse(tmp_path, limit, drive_pros=drives(max_velocity="file"))
-    message = str(raised.value)
-    assert message.startswith(f"r.drive_pros.max_velocity: {tmp_path / 'a.urdf'}:6: joint 'elbow'")
-    assert "null (no limit)" in message
-    assert parse(tmp_path, limit, drive_pros=drives(max_velocity=1.5)).max_velocity.tolist() == [
-        1.5
-    ]
+    parsed = parse(tmp_path, limit, drive_pros=drives(max_velocity="file"))
+    (note,) = parsed.notes
+    assert f"'elbow' ({tmp_path / 'a.urdf'}:6)" in note
+    assert "no limit" in note and "drive_pros.max_velocity: {elbow: SPEED}" in note
+    assert parsed.qvel_limits.tolist() == [math.inf]
+    assert parsed.max_velocity.tolist() == [1e10]
+    assert not parse(tmp_path, limit).notes  # the file's limits are not taken
+    limited = parse(tmp_path, limit, drive_pros=drives(max_velocity=1.5))
+    assert limited.max_velocity.tolist() == [1.5]
     parts = URDFCfg().set_urdf(str(tmp_path / "a.urdf"))
-    with pytest.raises(ConfigError, match="joint 'elbow' has velocity"):
-        cfg = RobotCfg(urdf_cfg=parts, drive_pros=drives(max_velocity="file"))
-        parse_articulation("r", cfg)
+    cfg = RobotCfg(urdf_cfg=parts, drive_pros=drives(max_velocity="file"))
+    assert any('velocity="0"' in note for note in parse_articulation("r", cfg).notes)
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
