@@ -93,3 +93,57 @@ def test_a_position_that_is_not_in_degrees_either_has_no_hint() -> None:
 def test_a_locked_joint_in_degrees() -> None:
     (found,) = mistakes("++task.robot.locked_joints={Joint2: 90}")
     assert found.endswith("In degrees? 90 degrees are 1.5708 rad.")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "task.robot.control_parts=3",
+        "task.robot.control_parts=[a]",
+        "task.robot.control_parts.arm=3",
+        "task.robot.names=3",
+        "task.robot.names=[1,2]",
+        "task.robot.names.tool=[3]",
+    ],
+)
+def test_names_of_a_wrong_kind_are_one_mistake(line: str) -> None:
+    found = mistakes(line)
+    assert len(found) == 1, found
+    assert line.partition("=")[0] in found[0]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "task.robot.init_qpos=[0,1]",
+        'task.robot.control_parts.arm=["Jiont[1-6]"]',
+        "task.robot.solver_cfg.arm.end_link_name=ee_lnik",
+    ],
+)
+def test_a_tool_point_that_a_mistake_leaves_out(line: str) -> None:
+    """`names.tool` stands for the link that `solver_cfg` adds where nothing is wrong."""
+    tcp = "[[1,0,0,0],[0,1,0,0],[0,0,1,0.1],[0,0,0,1]]"
+    solver = f"+task.robot.solver_cfg={{arm: {{end_link_name: ee_link, tcp: {tcp}}}}}"
+    tool = "task.robot.names.tool=arm_tcp"
+    assert mistakes(solver, tool) == []
+    found = mistakes(solver, tool, line)
+    assert len(found) == 1, found
+
+
+JOINT = "task.actions.arm.params.of={uid: robot, joint_names: [shoulder_pan, Joint7]}"
+
+
+@pytest.mark.slow
+def test_joints_that_the_robot_of_the_file_lacks() -> None:
+    pan, seventh = mistakes("~task.actions.arm.params.of", JOINT)
+    start = "command line: task.actions.arm.params.of.joint_names: no joint of 'robot' matches "
+    there = "there are: Joint1, Joint2, Joint3, Joint4, Joint5, Joint6. "
+    assert pan == f"{start}'shoulder_pan'; {there}Embodiments that have it: so101."
+    assert seventh == f"{start}'Joint7'; {there}Did you mean 'Joint1'?"
+
+
+@pytest.mark.slow
+def test_joints_that_a_chosen_robot_lacks() -> None:
+    lacks, seventh = mistakes("~task.actions.arm.params.of", JOINT, "embodiment=ur10")
+    assert lacks.startswith("command line: embodiment: ur10 lacks what the task needs: joints sh")
+    assert "joint_names: no joint of 'robot' matches 'Joint7'" in seventh

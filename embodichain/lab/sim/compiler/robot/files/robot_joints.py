@@ -319,7 +319,8 @@ def hint_at_degrees(position: float, lower: float, upper: float) -> str:
         lower: Lower limit, rad.
         upper: Upper limit, rad.
     """
-    if lower <= position <= upper or not lower <= math.radians(position) <= upper:
+    is_in_turn = abs(position) <= 2 * math.pi
+    if is_in_turn or not lower <= math.radians(position) <= upper:
         return ""
     return f"In degrees? {position:g} degrees are {math.radians(position):.5g} rad."
 
