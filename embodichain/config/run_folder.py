@@ -42,6 +42,7 @@ __all__ = [
     "take_back",
     "versions",
     "whole_run",
+    "why_no_run",
 ]
 
 CONFIG = "config.yaml"
@@ -244,7 +245,7 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
         reason = f" ({path} does not exist)"
     else:
         path = Path(name)
-        reason = perhaps_last(name)
+        reason = why_no_run(name)
     if not path.is_dir():
         raise ConfigError(f"there is no run {str(name)!r}{reason}")
     return path.resolve()
@@ -256,6 +257,12 @@ def perhaps_last(name: str | Path) -> str:
         return ""
     hint = did_you_mean(str(name), ["last"])
     return f".{hint}" if hint else ""
+
+
+def why_no_run(name: str | Path) -> str:
+    """Return what to append to ``there is no run NAME``: 'last', or where it was looked for."""
+    looked_for = Path(name).absolute()
+    return perhaps_last(name) or f": no folder {looked_for}; 'last' is the newest run"
 
 
 def newest_run(output_root: str | Path, *holding: str) -> Path | None:

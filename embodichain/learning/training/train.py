@@ -275,7 +275,9 @@ def _make_vec_env(env: BaseEnv, algorithm: AnyAlgorithm) -> AnyVecEnv:
         raise ConfigError([Problem("algo", f"{message}: use algo=ppo")])
     if algorithm.flat and images and len(manager.group_terms(GROUP)) > 1:
         message = f"{no_vector(GROUP, images)}: use MultiInputPolicy"
-        raise ConfigError([Problem("algo.policy", message)])
+        hint = "Write algo.policy=MultiInputPolicy, or in the task "
+        hint += "suggested: {train: {algo: {policy: MultiInputPolicy}}}."
+        raise ConfigError([Problem("algo.policy", message, hint)])
     unknown = [
         Problem(
             "algo.critic_groups",
