@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import embodichain
 from embodichain.config import compose, validate
 
 TOUCH = """
@@ -147,3 +148,12 @@ def test_joints_that_a_chosen_robot_lacks() -> None:
     lacks, seventh = mistakes("~task.actions.arm.params.of", JOINT, "embodiment=ur10")
     assert lacks.startswith("command line: embodiment: ur10 lacks what the task needs: joints sh")
     assert "joint_names: no joint of 'robot' matches 'Joint7'" in seventh
+
+
+def test_a_link_that_does_not_exist_is_answered_with_the_names_too() -> None:
+    env = embodichain.make("touch", 1)
+    try:
+        with pytest.raises(ValueError, match=r"has no link 'toll'.*; names: tool, base.*'tool'\?"):
+            env.sim.get_robot("robot").get_link_pose("toll")
+    finally:
+        env.close()

@@ -198,7 +198,7 @@ def test_cloning_from_images(folder):
     [
         (
             [],
-            "algo.policy: .*front is an image; .* Write algo.policy=MultiInputPolicy, or in the task ",
+            "algo.policy: .*front is an image; .* Write algo.policy=MultiInputPolicy, or in",
         ),
         (
             ["algo.policy=CnnPolicy", "algo.normalize=obs", "~task.observations.qpos"],
