@@ -18,7 +18,8 @@ from pathlib import Path
 
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
-from embodichain.utils.system.atomic import remove_abandoned, temporary_name, writers_of
+from embodichain.utils.system.atomic import remove_abandoned, temporary_name
+from embodichain.utils.system.platforms import is_locked, shared_lock
 
 __all__ = [
     "CHECKPOINT",
@@ -43,6 +44,7 @@ __all__ = [
     "take_back",
     "versions",
     "whole_run",
+    "why_no_run",
 ]
 
 CONFIG = "config.yaml"
@@ -60,8 +62,6 @@ SWEEP = "multirun.yaml"
 STUDY = "study.json"
 """A file in the folder of a study, which contains those of its jobs."""
 LATEST = "latest"
-_RUNNING = "running"
-"""Name of the temporary file that a folder has while its run lasts."""
 _log = logging.getLogger(__name__)
 _USED = (
     "{} contains a run already, and a folder is used for one run only. To repeat a command until "
@@ -182,27 +182,22 @@ def abandon(
 
 @contextlib.contextmanager
 def marked_as_running(folder: Path) -> Iterator[None]:
-    """Have a file in a run's folder that says that this process runs it.
+    """Lock a run's folder, so that others know that it is going; the end of a process unlocks it.
 
-    The file of a process that was killed is removed by `remove_abandoned`.
+    Where folders cannot be locked (Windows, some network file systems), others see an unfinished
+    run.
     """
-    mark = folder / temporary_name(_RUNNING)
-    try:
-        mark.touch()
-    except OSError as error:  # a run is worth more than its mark
-        _log.warning("others are not told that this run is going: %s", error)
-    try:
-        yield
-    finally:
+    with contextlib.ExitStack() as stack:
         try:
-            mark.unlink(missing_ok=True)
-        except OSError as error:  # it says nothing once the process has ended
-            _log.warning("%s is left: %s", mark.name, error)
+            stack.enter_context(shared_lock(folder))
+        except OSError as error:
+            _log.warning("%s cannot be locked (%s): to others it is unfinished", folder, error)
+        yield
 
 
 def is_running(folder: str | Path) -> bool:
     """Whether a process of this machine runs what is in a run's folder."""
-    return any(process.is_running for process in writers_of(Path(folder), _RUNNING))
+    return is_locked(Path(folder))
 
 
 def take_back(folder: Path, before: Collection[str], made: Sequence[Path]) -> None:
@@ -250,7 +245,7 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
         reason = f" ({path} does not exist)"
     else:
         path = Path(name)
-        reason = perhaps_last(name)
+        reason = why_no_run(name)
     if not path.is_dir():
         raise ConfigError(f"there is no run {str(name)!r}{reason}")
     return path.resolve()
@@ -262,6 +257,12 @@ def perhaps_last(name: str | Path) -> str:
         return ""
     hint = did_you_mean(str(name), ["last"])
     return f".{hint}" if hint else ""
+
+
+def why_no_run(name: str | Path) -> str:
+    """Return what to append to ``there is no run NAME``: 'last', or where it was looked for."""
+    looked_for = Path(name).absolute()
+    return perhaps_last(name) or f": no folder {looked_for}; 'last' is the newest run"
 
 
 def newest_run(output_root: str | Path, *holding: str) -> Path | None:

@@ -133,6 +133,8 @@ class _SoundPart:
         # Names of entities, terms and parts that may be missing now.
         self._lost_names: set[str] = set()
         self._are_joints_known = True
+        # Key paths of maps that lack a key now, which they may need.
+        self._incomplete: set[str] = set()
 
     def leave_out(self, problem: Problem) -> bool:
         """Remove the part with a mistake; return whether there was something to remove."""
@@ -149,6 +151,7 @@ class _SoundPart:
             self.ends = True  # names that terms use are unknown
             return False
         removed = _remove(self.tree, keys)
+        self._incomplete.add(re.sub(r"\.[^.]+(\.\d+)*$", "", problem.path))
         if has_joints:
             self._are_joints_known = False
             for name in _NAMING:
@@ -163,6 +166,8 @@ class _SoundPart:
 
     def may_report(self, problem: Problem) -> bool:
         """Whether a mistake certainly does not follow from parts that were left out."""
+        if problem.path in self._incomplete:
+            return False
         keys = problem.path.split(".")
         if keys[0] != "task" or len(keys) < 3 or keys[1] not in {*named_maps(), *_JOINTED}:
             return False

@@ -84,6 +84,8 @@ def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | N
     if near is not None:
         tried.append(("beside the file that names it", _folder_of(near) / path))
     tried.append(("working directory", Path.cwd() / path))
+    if text.startswith(("./", "../")):  # it says where it is
+        return _first_existing(text, tried)
     for place in places():
         tried += [(place.label, candidate) for candidate in place.candidates(path.as_posix())]
     return _first_existing(text, tried)
@@ -202,16 +204,18 @@ def _closest_names(name: str, tried: list[tuple[str, Path]]) -> list[str]:
     match = _PACKAGE.match(name)
     if match:
         return _closest_packages(match["package"], match["rest"] or "", tried)
+    siblings = [str(Path(name).parent / sibling) for sibling in _siblings(tried)]
+    if siblings or name.startswith(("./", "../")) or Path(name).expanduser().is_absolute():
+        return list(dict.fromkeys(siblings))[:3]
     robots = [robot.name for robot in list_robots()]
     stem = Path(name).stem.casefold()
     # Another robot of the same maker has a similar name, too: the file name decides where it can.
     same_file = [robot for robot in robots if Path(robot).stem.casefold() == stem]
     similar = closest(name, same_file or robots, n=2, cutoff=0.75)
     similar += same_file
-    similar += [str(Path(name).parent / sibling) for sibling in _siblings(tried)]
     if not similar:
         by_file = {Path(robot).name: robot for robot in robots}
-        similar = [by_file[file] for file in closest(Path(name).name, by_file, n=1, cutoff=0.7)]
+        similar = [by_file[file] for file in closest(Path(name).name, by_file, n=1, cutoff=0.8)]
     return list(dict.fromkeys(similar))[:3]
 
 
@@ -232,7 +236,8 @@ def _siblings(tried: list[tuple[str, Path]]) -> list[str]:
     names: list[str] = []
     for _, path in tried:
         if path.parent.is_dir():
-            names += closest(path.name, (entry.name for entry in path.parent.iterdir()))
+            entries = [entry.name for entry in path.parent.iterdir()]
+            names += closest(path.name, entries, cutoff=0.7)
     return names
 
 

@@ -143,6 +143,31 @@ def test_closest_name_of_a_missing_absolute_path_is_beside_it(world):
     assert [label for label, _ in raised.value.searched] == ["absolute path"]
 
 
+def test_a_path_that_says_where_it_is_is_searched_there_alone(world):
+    for name in ("./meshes/my_robto.urdf", "../UniversalRobots/UR10/UR10.urdf"):
+        with pytest.raises(DataNotFoundError) as raised:
+            get_data_path(name, near=world / "conf" / "arm.yaml")
+        assert [label for label, _ in raised.value.searched] == [
+            "beside the file that names it",
+            "working directory",
+        ]
+        assert raised.value.closest == ()
+
+
+def test_the_closest_names_are_in_the_same_folder(world):
+    put(world / "conf/meshes/my_robot.urdf")
+    with pytest.raises(DataNotFoundError) as raised:
+        get_data_path("meshes/my_robto.urdf", near=world / "conf" / "arm.yaml")
+    assert raised.value.closest == ("meshes/my_robot.urdf",)
+
+
+def test_a_name_that_is_not_close_to_any_has_no_suggestion(world):
+    for name in ("meshes/my_robto.urdf", "cad/arm_ok.urdf"):
+        with pytest.raises(DataNotFoundError) as raised:
+            get_data_path(name)
+        assert raised.value.closest == ()
+
+
 def test_without_example_robot_data_the_command_installs_it(monkeypatch):
     # As if the package were not installed.
     monkeypatch.setattr(sys, "path", [])

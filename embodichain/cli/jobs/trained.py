@@ -86,6 +86,8 @@ class Target:
             resolve_policy(self.policy)
         except ConfigError as error:
             hint = did_you_mean(self.policy, ["last"])
+            if not hint:
+                hint = f" Looked for {Path(self.policy).absolute()}; 'last' is the newest run."
             raise ConfigError(f"there is no run or policy {self.policy!r}.{hint}") from error
 
 

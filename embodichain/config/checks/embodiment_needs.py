@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,8 +33,13 @@ if TYPE_CHECKING:
 
 __all__ = ["check_embodiment", "follows_from_name"]
 
-_NAME = re.compile(r"task\.(?:robot|robots\.[^.]+|articulations\.[^.]+)\.names\.(.+)")
-"""Key path of a name that a robot's config gives."""
+_NAMES = re.compile(
+    r"task\.(?:robot|robots\.[^.]+|articulations\.[^.]+)\.(?P<key>names|control_parts)"
+    r"(?:\.(?P<name>.+?)(?:\.\d+)*)?"
+)
+"""Key path of names that a robot's config gives, or of one of them."""
+_UNKNOWN_PART = re.compile(r"no (?:link|site|geom|link, site or geom|control part)\b.* matches ")
+"""A message that a robot has no part of a name."""
 
 _CHOICE = f"{EMBODIMENT}@task"
 """The choice of an embodiment, as Hydra calls it."""
@@ -100,8 +105,16 @@ def check_embodiment(
         for need in absent
         if having_joints.of(need) or any(_has(robots, need) for robots in options.values())
     ]
+    place = _place(composed, name)
+    if place != COMMAND_LINE:
+        # Who writes joints and the robot into one file has most likely misspelt the joints.
+        joints = [need for need in missing if need.kind == "joint"]
+        problems = [_with_embodiments(problem, joints, having_joints) for problem in problems]
+        missing = [need for need in missing if need.kind != "joint"]
     if not missing:
         return list(problems)
+    # What no embodiment has stays a mistake at its own key.
+    misspelt = [need for need in absent if need not in missing]
     of_file = [problem for problem in composed.problems if problem.path == EMBODIMENT]
     if of_file and not _robots(composed.tree):  # an empty file
         return of_file
@@ -110,6 +123,7 @@ def check_embodiment(
     mistake = _misnamed_robot(composed, task, missing)
     if mistake is not None:
         return [mistake, *(problem for problem in problems if not _follows(problem, paths))]
+    names_misspelt = [problem for problem in problems if _names_one_of(problem, misspelt)]
     having = [
         option
         for option, robots in options.items()
@@ -120,11 +134,34 @@ def check_embodiment(
     if having:
         hint = f"Embodiments that have it: {', '.join(having)}."
     message = f"{name} lacks what the task needs: {_listed(missing)}."
-    mistake = Problem(EMBODIMENT, message, hint, _place(composed, name))
+    mistake = Problem(EMBODIMENT, message, hint, place)
     others = [problem for problem in problems if not _follows(problem, paths)]
     if others and having:
         others = _shared(composed, others, check(choices.of(having[0])).problems)
+    others += [problem for problem in names_misspelt if problem not in others]
     return [mistake, *others]
+
+
+def _names_one_of(problem: Problem, needs: Iterable[_Need]) -> bool:
+    """Whether a mistake is that one of some joints does not exist."""
+    return any(
+        need.kind == "joint"
+        and _follows(problem, [f"task.{need.path}"])
+        and f"matches {need.name!r}" in problem.message
+        for need in needs
+    )
+
+
+def _with_embodiments(
+    problem: Problem, joints: Iterable[_Need], having_joints: _HavingJoints
+) -> Problem:
+    """Return the mistake that a joint does not exist with the embodiments that have it."""
+    for need in joints:
+        if _names_one_of(problem, [need]):
+            having = ", ".join(having_joints.of(need))
+            hint = f"{problem.hint} Embodiments that have it: {having}.".strip()
+            return replace(problem, hint=hint).at(problem.source)
+    return problem
 
 
 def _shared(
@@ -299,13 +336,19 @@ def follows_from_name(problem: Problem, problems: Iterable[Problem]) -> bool:
         problem: The mistake.
         problems: All mistakes.
     """
-    wrong_names = [match[1] for other in problems if (match := _NAME.match(other.path))]
-    if _NAME.match(problem.path):
+    if _NAMES.fullmatch(problem.path):
         return False
-    return any(
-        f"matches {name!r}" in problem.message or f"is called {name!r}" in problem.message
-        for name in wrong_names
-    )
+    for other in problems:
+        wrong = _NAMES.fullmatch(other.path)
+        if wrong is None:
+            continue
+        name = wrong["name"]
+        if name is None:  # none of its names is known
+            if _UNKNOWN_PART.match(problem.message):
+                return True
+        elif f"matches {name!r}" in problem.message or f"is called {name!r}" in problem.message:
+            return True
+    return False
 
 
 def _follows(problem: Problem, paths: Iterable[str]) -> bool:
@@ -437,6 +480,5 @@ def _has(robots: Mapping[str, Mapping[str, Any]], need: _Need) -> bool:
         return bool(robot.get("grippers"))
     if need.kind == "joint":  # its config does not say
         return False
-    if need.kind == "part":
-        return need.name in (robot.get("control_parts") or {})
-    return need.name in (robot.get("names") or {})
+    names = robot.get("control_parts" if need.kind == "part" else "names")
+    return isinstance(names, Mapping) and need.name in names

@@ -1,11 +1,13 @@
 """`implausible_values`: values that are allowed, but look as if they were in another unit.
 
 Lengths are in metres and times in seconds: an object of 20 m, or a place at 110 m, is mostly one in
-millimetres, centimetres or degrees. That is a warning: there may be such a scene.
+millimetres, centimetres or degrees. Positions of joints are in rad, and Euler angles in degrees.
+That is a warning: there may be such a scene.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -28,6 +30,15 @@ _LENGTHS: tuple[tuple[type, tuple[str, ...]], ...] = (
     (CapsuleCfg, ("radius", "height")),
     (HaloCfg, ("radius",)),
 )
+_TURN = 2 * math.pi
+_STEP_OF_ANGLES = math.pi / 12
+_ANGLE_TOLERANCE = 0.005
+"""What 3.14 and 1.57 lack of pi and of half of it, and a bit."""
+_JOINT_TERMS = (
+    ("actions", ("joint_action", "joint_position"), "scale"),
+    ("events", ("reset_joints",), "position_range"),
+)
+"""Section, terms, and their parameter with positions of joints or differences of them."""
 _PLACES_OF_TERMS = ("position_range", "pose_range", "position", "pos", "offset")
 """Parameters of events and commands with places, whatever the term."""
 
@@ -49,7 +60,9 @@ def implausible_values(root: Any, tree: Mapping[str, Any]) -> list[Problem]:
         notes += [note.below(path) for note in _lengths(cfg, given, is_static=is_static)]
         if isinstance(cfg, ObjectBaseCfg):
             notes += [note.below(path) for note in _place("init_pos", given.get("init_pos"))]
+            notes += [note.below(path) for note in _euler_angles("init_rot", given.get("init_rot"))]
     notes += _places_of_terms(tree.get("task"))
+    notes += _joint_positions_of_terms(tree.get("task"))
     return notes
 
 
@@ -89,9 +102,49 @@ def _places_of_terms(task: Any) -> Iterator[Problem]:
             params = term.get("params") if isinstance(term, Mapping) else None
             if not isinstance(params, Mapping):
                 continue
+            path = f"task.{section}.{name}.params"
+            yield from _euler_angles(f"{path}.rotation_range", params.get("rotation_range"))
+            if term.get("func") == "reset_joints":
+                continue
             for key in _PLACES_OF_TERMS:
-                path = f"task.{section}.{name}.params.{key}"
-                yield from _place(path, params.get(key))
+                yield from _place(f"{path}.{key}", params.get(key))
+
+
+def _joint_positions_of_terms(task: Any) -> Iterator[Problem]:
+    """Positions of joints, or differences of them, of more than a turn."""
+    if not isinstance(task, Mapping):
+        return
+    for section, funcs, key in _JOINT_TERMS:
+        terms = task.get(section)
+        for name, term in terms.items() if isinstance(terms, Mapping) else ():
+            params = term.get("params") if isinstance(term, Mapping) else None
+            if not isinstance(params, Mapping) or term.get("func") not in funcs:
+                continue
+            if params.get("control", "position") != "position":
+                continue
+            largest = max((abs(number) for number in _numbers(params.get(key))), default=0.0)
+            if largest > _TURN:
+                fact = f"{largest:g} rad is more than a turn: positions of joints are in rad or m"
+                radians = f"{largest:g} degrees are {math.radians(largest):.4g} rad"
+                yield Problem(f"task.{section}.{name}.params.{key}", f"{fact}; {radians}")
+
+
+def _euler_angles(path: str, value: Any) -> Iterator[Problem]:
+    """Euler angles that are all multiples of 15 degrees, in rad."""
+    angles = [angle for angle in _numbers(value) if angle]
+    if not angles or not all(_is_in_radians(angle) for angle in angles):
+        return
+    degrees = 15 * round(angles[0] / _STEP_OF_ANGLES)
+    key = path.rpartition(".")[2]
+    fact = f"{angles[0]:g} degrees? {key} is in degrees"
+    yield Problem(path, f"{fact}: {angles[0]:g} rad are {degrees}")
+
+
+def _is_in_radians(angle: float) -> bool:
+    """Whether an angle is written as a multiple of pi / 12 up to a turn."""
+    steps = round(angle / _STEP_OF_ANGLES)
+    is_rounded = abs(angle - steps * _STEP_OF_ANGLES) < _ANGLE_TOLERANCE
+    return is_rounded and 0 < abs(steps) <= 24
 
 
 def _place(path: str, value: Any) -> Iterator[Problem]:

@@ -117,12 +117,13 @@ def _success_path(env: BaseEnv) -> str:
 def _divergence(env: BaseEnv, steps: int) -> list[Problem]:
     """The mistakes of a task in which every environment diverges."""
     where = f"in all {env.num_envs} environments" if env.num_envs > 1 else "in the environment"
-    when = f"{where} within {steps} control step{'s' * (steps > 1)} of zero actions"
+    first = "first control step" if steps == 1 else f"first {steps} control steps"
+    when = f"{where} in the {first}, with all actions at zero"
     problems: list[Problem] = []
     for term in env.not_finite_terms:
         # What is not a term is the sum of the rewards, of a class's hooks.
         path = f"task.{term}" if "." in term else "task.rewards"
-        problems.append(Problem(path, f"not finite {when}; no such step counts"))
+        problems.append(Problem(path, f"not finite {when}: such a step ends its episode"))
     if problems:
         return problems
     fact = f"the physics diverges {when}"

@@ -71,6 +71,8 @@ Chosen = Callable[[str, str], bool]
 _FLAGS = {"on": "true", "yes": "true", "off": "false", "no": "false"}
 _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
 """If such a key was pruned, references to entities may fail without being wrong."""
+_POSE = re.compile(r"task\.(robot|robots\.[^.]+)\.init_(pos|local_pose)(\.\d+)*")
+"""If such a key was pruned, the robot stands elsewhere than it should."""
 
 
 def validate(composed: Composed, verb: JobVerb = "run") -> list[Problem]:
@@ -214,10 +216,19 @@ def check_tree(
         }
         for problem in further:
             is_told = _below(problem.path, missing) or problem.path in incomplete
+            is_told |= _follows_from_lost(problem.path, missing)
             if not is_told and not _is_about(problem, objects):
                 problems.append(problem)
     distinct = {p.path + p.message: p for p in problems}.values()
     return Check(_located(distinct, source), types, scene, tuple(_located(notes, source)))
+
+
+def _follows_from_lost(path: str, lost: Iterable[str]) -> bool:
+    """Whether a mistake may follow from a key that was left out elsewhere.
+
+    A pedestal takes its size and its place from the pose of the robot.
+    """
+    return _below(path, ["task.scene.pedestal"]) and any(_POSE.fullmatch(other) for other in lost)
 
 
 def _is_about(problem: Problem, objects: Iterable[str]) -> bool:

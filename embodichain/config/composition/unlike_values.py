@@ -76,10 +76,10 @@ def why_not_applied(config: DictConfig, override: Override, error: Exception) ->
         parents.append(part)
     value = override.value()
     if isinstance(node, DictConfig) and isinstance(value, list):
-        message = f"expected a map, got {show_value(value)}"
+        message = f"the list {show_value(value)} cannot be merged with the map that is there"
         return _of_command_line(key, message, _replaced(override, key))
     if isinstance(node, ListConfig) and isinstance(value, dict):
-        message = f"expected a list, got {show_value(value)}"
+        message = f"the map {show_value(value)} cannot be merged with the list that is there"
         return _of_command_line(key, message, _replaced(override, key))
     message = f"cannot apply {override.input_line}: {str(error).splitlines()[0]}"
     return _of_command_line(key, message)
@@ -87,8 +87,8 @@ def why_not_applied(config: DictConfig, override: Override, error: Exception) ->
 
 def _replaced(override: Override, key: str) -> str:
     """How to write an override that replaces what there is at a key."""
-    return f"~{key} before {override.input_line} takes out what there is."
+    return f"To replace it, take it out first: '~{key}' '{override.input_line}'."
 
 
 def _of_command_line(path: str, message: str, hint: str = "") -> Problem:
-    return Problem(path, message, hint, source=COMMAND_LINE)
+    return Problem(path, message, hint).at(COMMAND_LINE)

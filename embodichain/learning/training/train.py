@@ -275,8 +275,10 @@ def _make_vec_env(env: BaseEnv, algorithm: AnyAlgorithm) -> AnyVecEnv:
         message += "is an image" if len(images) == 1 else "are images"
         raise ConfigError([Problem("algo", f"{message}: use algo=ppo")])
     if algorithm.flat and images and len(manager.group_terms(GROUP)) > 1:
-        message = f"{no_vector(GROUP, images)}: use MultiInputPolicy"
-        raise ConfigError([Problem("algo.policy", message)])
+        message = f"{no_vector(GROUP, images)}."
+        hint = "Write algo.policy=MultiInputPolicy, or in the task "
+        hint += "suggested: {train: {algo: {policy: MultiInputPolicy}}}."
+        raise ConfigError([Problem("algo.policy", message, hint)])
     unknown = [
         Problem(
             "algo.critic_groups",

@@ -26,7 +26,6 @@ __all__ = [
     "temporary_name",
     "write_text",
     "write_text_at",
-    "writers_of",
 ]
 
 _NAME = re.compile(r"\..*\.(?P<process>[0-9a-f]{8}-\d+-\d+)-\d+\.part(\.[^.]*)?", re.DOTALL)
@@ -68,20 +67,6 @@ def remove_abandoned(folder: str | Path | int) -> None:
                     shutil.rmtree(path, dir_fd=place)
                 else:
                     os.unlink(path, dir_fd=place)
-
-
-def writers_of(folder: Path, name: str) -> list[ProcessId]:
-    """Return the processes that have a temporary file in a folder for a file of this name."""
-    writers: list[ProcessId] = []
-    with suppress(OSError):
-        for entry in folder.iterdir():
-            match = _NAME.fullmatch(entry.name)
-            if match is None or not entry.name.startswith(f".{Path(name).stem}."):
-                continue
-            process = ProcessId.parse(match["process"])
-            if process is not None:
-                writers.append(process)
-    return writers
 
 
 @contextmanager

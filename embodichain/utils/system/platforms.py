@@ -9,13 +9,25 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["LIMITED", "LIMITS", "Limit", "limits", "lock", "locked_by", "memory_bytes", "need"]
+__all__ = [
+    "LIMITED",
+    "LIMITS",
+    "Limit",
+    "is_locked",
+    "limits",
+    "lock",
+    "locked_by",
+    "memory_bytes",
+    "need",
+    "shared_lock",
+]
 
 LIMITED = {"darwin": "macOS", "win32": "Windows"}
 """`sys.platform` -> name of a system that lacks something, and on which the package is untried."""
@@ -104,6 +116,47 @@ def lock(descriptor: int) -> None:
     import fcntl
 
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def shared_lock(folder: Path) -> Iterator[None]:
+    """Lock a folder, which several processes may; it is for `is_locked` only.
+
+    Windows has no such locks: nothing is done there.
+
+    Raises:
+        OSError: The folder cannot be locked.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def is_locked(folder: Path) -> bool:
+    """Whether a process has locked a folder; False where that cannot be known."""
+    try:
+        import fcntl
+
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except (ImportError, OSError):
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def locked_by(descriptor: int) -> int | None:

@@ -67,11 +67,6 @@ class ProcessId:
         state = _state(self.pid)
         return state is not None and (state[1] != self.began or state[0] in _ENDED)
 
-    @property
-    def is_running(self) -> bool:
-        """Whether it certainly runs; False for a process of another place."""
-        return bool(self.began) and self.place == _place() and not self.has_ended
-
 
 def own_process() -> ProcessId:
     """Return this process."""

@@ -209,7 +209,7 @@ def test_mistakes_are_reported(
     (run / "summary.json").write_text("{")
     for arguments, message in (
         ([str(simulated), "-o", str(tmp_path / "mine.html")], "mine.html exists"),
-        (["nowhere"], "there is no run 'nowhere'"),
+        (["nowhere"], f"there is no run 'nowhere': no folder {Path.cwd() / 'nowhere'}; 'last' is"),
         ([str(tmp_path / "empty")], "has no run: there is no config.yaml of one"),
         ([str(run)], "summary.json is damaged"),
     ):

@@ -21,6 +21,11 @@ WRONG_UNITS = {
     "objects.box.shape.size=[0.1,0.1,0.00001]": "1e-05 m is very small",
     "objects.ball.shape.radius=20": "20 m is very large",
     "objects.box.init_pos=[500,0,50]": "500 m is far away",
+    "objects.box.init_rot=[0,0,1.57]": "1.57 degrees? init_rot is in degrees: 1.57 rad are 90",
+    "robot.init_rot=[3.14159,0,-0.785]": "init_rot is in degrees: 3.14159 rad are 180",
+    "actions.arm.params.scale=35": "35 degrees are 0.6109 rad",
+    "+events.bend={func: reset_joints, mode: reset, params: {of: {uid: arm}, "
+    "position_range: [-15, 15]}}": "15 rad is more than a turn",
     "events.place.params.position_range=[[-110,-110,0],[110,110,0]]": "110 m is far away",
 }
 
@@ -33,7 +38,12 @@ def write_task() -> None:
 
 def doubts(*lines: str) -> list[str]:
     """What is said of values that look wrong."""
-    notes = resolve(["task=mine", *(f"task.{line}" for line in lines)]).notes
+    notes = resolve(
+        [
+            "task=mine",
+            *(f"+task.{line[1:]}" if line[0] == "+" else f"++task.{line}" for line in lines),
+        ]
+    ).notes
     texts = [f"{note.path}: {note.message}" for note in notes]
     return [text for text in texts if text.startswith("task.")]
 
@@ -48,6 +58,7 @@ def test_a_value_in_a_wrong_unit(empty_cwd: Path, line: str) -> None:
 def test_what_is_usual_is_not_doubted(empty_cwd: Path) -> None:
     write_task()
     assert doubts() == []
+    assert doubts("objects.box.init_rot=[1,90,0.5]", "actions.arm.params.scale=6.28") == []
     assert doubts("physics.physics_dt=0.05", "objects.box.shape.size=[10,10,0.0001]") == []
     building = ["objects.box.body_type=static", "objects.box.shape.size=[40,40,1]"]
     assert doubts(*building) == []

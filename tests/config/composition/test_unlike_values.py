@@ -48,8 +48,8 @@ def test_in_an_option_of_the_user(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("word", "says"),
     [
-        ("task.robot.init_qpos={Joint1: 1}", "task.robot.init_qpos: expected a list, got {'Joint1"),
-        ("task.views.default=[1]", "task.views.default: expected a map, got [1]"),
+        ("task.robot.init_qpos={Joint1: 1}", "task.robot.init_qpos: the map {'Joint1': 1} cannot"),
+        ("task.views.default=[1]", "task.views.default: the list [1] cannot be merged"),
         ("task.robot.init_qpos.Joint1=1", "expected the number of an item, got 'Joint1'"),
         ("task.robot.init_qpos.9=1", "there is no item 9: task.robot.init_qpos has 6"),
     ],

@@ -196,7 +196,10 @@ def test_cloning_from_images(folder):
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ([], "algo.policy: .*front is an image; .*: use MultiInputPolicy"),
+        (
+            [],
+            "algo.policy: .*front is an image; .* Write algo.policy=MultiInputPolicy, or in",
+        ),
         (
             ["algo.policy=CnnPolicy", "algo.normalize=obs", "~task.observations.qpos"],
             "algo.normalize: an observation of images is not normalized",

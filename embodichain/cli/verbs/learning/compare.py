@@ -19,7 +19,7 @@ from embodichain.cli.results.comparison_tables import (
 from embodichain.cli.terminal.last import announce_last
 from embodichain.cli.terminal.output import print_json, print_table
 from embodichain.cli.verb import complete_last, verb
-from embodichain.config.run_folder import CHECKPOINT, newest_run, perhaps_last, whole_run
+from embodichain.config.run_folder import CHECKPOINT, newest_run, whole_run, why_no_run
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def _find_paths(names: Sequence[str]) -> list[Path]:
         elif "=" in name:
             problems.append(Problem("", f"{name}: `compare` reads no KEY=VALUE"))
         else:
-            problems.append(Problem("", f"there is no run {name!r}{perhaps_last(name)}"))
+            problems.append(Problem("", f"there is no run {name!r}{why_no_run(name)}"))
     if problems:
         raise ConfigError(problems)
     if newest is not None:

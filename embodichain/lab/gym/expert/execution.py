@@ -272,8 +272,8 @@ class Execution:
             return
         distance, angle = path.remaining()
         for env_id in np.flatnonzero(is_late).tolist():
-            missing = f"{1000 * distance[env_id]:.0f} mm and {angle[env_id]:.2f} rad are missing"
-            why = f"the tool has not arrived: {self._obstacles(arm, env_id)}; {missing}"
+            gap = f"{1000 * distance[env_id]:.0f} mm and {angle[env_id]:.2f} rad from its goal"
+            why = f"the tool has not arrived, it is {gap}: {self._obstacles(arm, env_id)}"
             self._fail(arm, np.array([env_id]), why)
 
     def _has_gripped(self, arm: _ArmExecution) -> Mask:

@@ -41,7 +41,7 @@ def obstacles(engine: Engine, env_id: int, robot: Collection[int], held: Collect
 
     Returns:
         For instance ``ur10/link6 touches table with 114 N``: the largest net forces between two
-        bodies; or that nothing is touched.
+        bodies; or that the robot touches nothing.
     """
     arm_bodies = {*robot, *held}
     net_forces: dict[tuple[str, str], F64] = {}
@@ -63,7 +63,7 @@ def obstacles(engine: Engine, env_id: int, robot: Collection[int], held: Collect
     sizes = {names: float(np.linalg.norm(force)) for names, force in net_forces.items()}
     strongest = sorted((-size, names) for names, size in sizes.items() if size >= _WEAK)
     touches = [f"{a} touches {b} with {-size:.3g} N" for size, (a, b) in strongest[:_MOST_NAMED]]
-    return ", ".join(touches) or "nothing is touched"
+    return ", ".join(touches) or "the robot touches nothing"
 
 
 def is_touching(

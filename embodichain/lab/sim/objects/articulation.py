@@ -271,10 +271,12 @@ class Articulation(FrameReads):
         if alias is not None and alias.kind == "link" and len(alias.frames) == 1:
             link = alias.frames[0]
         if link not in names:
-            raise ValueError(
-                f"{self.uid} has no link {link!r}; there are: {', '.join(names)}."
-                f"{did_you_mean(link, names)}"
-            )
+            aliases = [name for name, alias in self.parsed.aliases.items() if alias.kind == "link"]
+            choices = ", ".join(names)
+            if aliases:
+                choices += f"; names: {', '.join(aliases)}"
+            hint = did_you_mean(link, [*aliases, *names])
+            raise ValueError(f"{self.uid} has no link {link!r}; there are: {choices}.{hint}")
         return int(self.index.body_ids[names.index(link)])
 
     def read_mass(self, bodies: Ids) -> Floats:

@@ -307,7 +307,9 @@ def _compile(
     notes += [f"{file.path}: {line}" for line in root.notes]
     model = compile_quietly(spec)
     placement = place(placed, _root_pose(model, root, keyframe))
-    aliases, mistakes = resolve_aliases(cfg, frames_by_kind(model))
+    tool_links = [tool.link for tool in settings.tools.values()]
+    left_out = [*cfg.attachments, *tool_links] if problems else []
+    aliases, mistakes = resolve_aliases(cfg, frames_by_kind(model), left_out)
     problems += mistakes
     home = getattr(cfg, "home", None)
     if home is not None:

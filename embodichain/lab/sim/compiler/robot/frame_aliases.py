@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -71,13 +71,15 @@ def check_grippers(
 
 
 def resolve_aliases(
-    cfg: ArticulationCfg, names: Names
+    cfg: ArticulationCfg, names: Names, left_out: Collection[str] = ()
 ) -> tuple[dict[str, FrameAlias], list[Problem]]:
     """Return what each of a config's `names` stands for, and every mistake in them.
 
     Args:
         cfg: The config.
         names: The names in the file, those of attachments and tool points included.
+        left_out: Names of attachments and tool points that are not there because of another
+            mistake: what stands for them is not a mistake as well.
     """
     aliases: dict[str, FrameAlias] = {}
     problems: list[Problem] = []
@@ -88,7 +90,8 @@ def resolve_aliases(
             problems.append(Problem(path, message))
             continue
         alias, mistakes = _resolve(_as_list(patterns), names, path)
-        problems += mistakes
+        if not _match_one_of(_as_list(patterns), left_out):
+            problems += mistakes
         if alias is None:  # references to it are not a mistake as well
             aliases[name] = FrameAlias("link", ())
             continue
@@ -98,6 +101,16 @@ def resolve_aliases(
         else:
             problems.append(Problem(path, clash))
     return aliases, problems
+
+
+def _match_one_of(patterns: Iterable[str], names: Collection[str]) -> bool:
+    """Return whether one of some patterns, with or without a kind, matches one of some names."""
+    for pattern in patterns:
+        _, _, without_kind = pattern.rpartition(":")
+        ids, _ = match_every(without_kind, list(names), "name", "")
+        if ids:
+            return True
+    return False
 
 
 def _as_list(patterns: str | Sequence[str]) -> list[str]:

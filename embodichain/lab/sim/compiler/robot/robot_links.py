@@ -40,6 +40,7 @@ from embodichain.lab.sim.compiler.robot.files.joint_couplings import JointCoupli
 from embodichain.lab.sim.compiler.robot.files.robot_files import ModelFile, compile_unlimited
 from embodichain.lab.sim.compiler.robot.files.robot_joints import (
     FileJoints,
+    hint_at_degrees,
     movable_joints,
     read_joints,
 )
@@ -237,7 +238,9 @@ def lock_joints(file: ModelFile, locked: Mapping[str, float]) -> list[Problem]:
             low, high = joint.range
             if joint.limited[0] and not low <= position <= high:
                 message = f"{position:g} is outside the limits of joint {name!r}"
-                problems.append(Problem(path, f"{message}, [{low:g}, {high:g}]"))
+                is_hinge = joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE
+                hint = hint_at_degrees(position, low, high) if is_hinge else ""
+                problems.append(Problem(path, f"{message}, [{low:g}, {high:g}]", hint))
     if problems:
         return problems
     for name, position in positions.items():

@@ -172,22 +172,22 @@ def _find_near(
     """Find what something is reached by; the problem is that there is no such thing."""
     name = cfg.by or ""
     uid, slash, _ = name.partition("/")
-    if is_open and uid not in known:
-        return None, []
-    entity = known.get(uid)
+    if uid not in known:
+        return None, [] if is_open else [_unknown_entity("by", uid, known)]
+    entity = known[uid]
+    if entity == "light":
+        return None, [_unknown_entity("by", uid, known)]
     if slash:
+        # Without a place and a problem, the entity's own config or file is wrong.
         place, problems = find_place(name, known)
-        if place is not None:
-            return _near(cfg, place.body, tuple(place.pos.tolist())), []
-        if problems:
+        if place is None:
             return None, [Problem("by", problem.message, problem.hint) for problem in problems]
-    elif isinstance(entity, KnownObject):
+        return _near(cfg, place.body, tuple(place.pos.tolist())), []
+    if isinstance(entity, KnownObject):
         return _near(cfg, entity.body, _ORIGIN), []
-    elif isinstance(entity, ParsedArticulation):
+    if isinstance(entity, ParsedArticulation):
         return _near(cfg, f"{uid}/{entity.root_link_name}", _ORIGIN), []
-    elif uid in known and entity is None:
-        return None, []  # its file could not be read, which is a mistake of its own
-    return None, [_unknown_entity("by", uid, known)]
+    return None, []  # its file could not be read
 
 
 def _near(cfg: ReachedCfg, body: str, pos: tuple[float, ...]) -> Near:

@@ -94,7 +94,9 @@ def _check_references(
     if cfg.body is not None and cfg.body not in bodies:
         place, mistakes = find_place(cfg.body, known)
         problems += [Problem("body", mistake.message, mistake.hint) for mistake in mistakes]
-        if place is None and not mistakes:
+        uid, _, _ = cfg.body.partition("/")
+        is_entity = known.get(uid, "light") != "light"  # then its own config or file is wrong
+        if place is None and not mistakes and not is_entity:
             message = f"no entity or link is called {cfg.body!r}"
             problems.append(_unknown("body", message, cfg.body, bodies))
     return problems

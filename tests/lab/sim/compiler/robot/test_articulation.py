@@ -287,7 +287,19 @@ BAD_FILES = {
     "joint.urdf": (
         '<?xml version="1.0"?>\n<robot name="x"><link\n name="a"/>\n<!-- note -->\n'
         '<joint name="j" type="revolute"><parent link="a"/><child link="gone"/></joint></robot>',
-        ":5: URDF joint parent or child missing (element 'joint')",
+        ":5: joint 'j' has the child 'gone', and no link is called so; there are: a",
+    ),
+    "typo.urdf": (
+        '<robot name="x"><link name="tube_long_1"/><link name="b"/>\n'
+        '<joint name="j" type="fixed">\n<parent link="Tube_lnog_1"/>'
+        '<child link="b"/></joint></robot>',
+        ":3: joint 'j' has the parent 'Tube_lnog_1', and no link is called so; "
+        "there are: tube_long_1, b. Did you mean 'tube_long_1'?",
+    ),
+    "childless.urdf": (
+        '<robot name="x"><link name="a"/>\n'
+        '<joint name="j" type="fixed"><parent link="a"/></joint></robot>',
+        ":2: joint 'j' has no <child link=\"...\">",
     ),
     "empty.urdf": ('<robot name="x"/>', ": the robot has no <link>"),
     "xacro.urdf": (

@@ -192,6 +192,13 @@ def test_a_map_names_the_joints_that_get_a_drive(tmp_path, caplog):
     assert "sensors of replaced actuators left out: 'elbow_effort'" in caplog.text
 
 
+def test_actuators_of_joints_that_both_gains_name_are_replaced_without_a_word(tmp_path, caplog):
+    gains = {"stiffness": {"elbow_joint": 900.0}, "damping": {"elbow_joint": 90.0}}
+    model = scene_of({"arm": robot(tmp_path, UR5E, drive_pros=drives(**gains))}).model
+    assert "arm/elbow" not in names(model)
+    assert "replace its actuators" not in caplog.text
+
+
 def test_an_effort_limit_alone_limits_the_files_servos(tmp_path, caplog):
     cfg = robot(tmp_path, UR5E, drive_pros=drives(max_effort={"elbow_joint": 20.0}))
     model = scene_of({"arm": cfg}).model

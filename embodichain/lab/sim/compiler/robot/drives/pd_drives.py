@@ -7,7 +7,7 @@ PhysX, Isaac Lab and mjlab. Joints keep the damping and friction of their file.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +47,7 @@ class JointDrive:
         joint: The joint, as its file has it.
         is_added: Whether `drive_pros` adds a PD drive, in place of the file's actuators on it.
             Else `stiffness` and `damping` are those of the file's servo, if there is one.
+        is_named: Whether maps of `drive_pros` name the joint in both gains.
         limits_servo: Whether `max_effort` replaces the limit of the file's servo.
         stiffness: N m/rad or N/m.
         damping: N m s/rad or N s/m.
@@ -59,6 +60,7 @@ class JointDrive:
 
     joint: FileJoint
     is_added: bool
+    is_named: bool
     limits_servo: bool
     stiffness: float
     damping: float
@@ -165,6 +167,10 @@ def _resolve_drive(
     """
     servo = joint.servo
     is_added = is_selected and not is_follower and cfg.drive_type != "none"
+    is_named = all(
+        isinstance(getattr(cfg, gain), Mapping) and gain in override
+        for gain in ("stiffness", "damping")
+    )
     limits_servo = (
         "max_effort" in override
         and servo is not None
@@ -191,6 +197,7 @@ def _resolve_drive(
     return JointDrive(
         joint=joint,
         is_added=is_added,
+        is_named=is_named,
         limits_servo=limits_servo,
         stiffness=stiffness,
         damping=damping,
@@ -379,7 +386,9 @@ def apply_drives(spec: mujoco.MjSpec, drives: Sequence[JointDrive]) -> tuple[lis
         joint.armature = drive.armature
         joint.frictionloss = drive.friction
     notes = _limit_servos(spec, drives)
-    notes += _remove_actuators(spec, [drive.joint.name for drive in drives if drive.is_added])
+    named_joints = {drive.joint.name for drive in drives if drive.is_named}
+    added_joints = [drive.joint.name for drive in drives if drive.is_added]
+    notes += _remove_actuators(spec, added_joints, named_joints)
     used_names = {actuator.name for actuator in spec.actuators}
     names: list[str] = []
     for drive in drives:
@@ -434,8 +443,13 @@ def _limit_force(actuator: mujoco.MjsActuator, effort: float) -> None:
         actuator.forcerange = [-effort, effort]
 
 
-def _remove_actuators(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:
-    """Remove actuators on joints and the sensors that read them; return messages."""
+def _remove_actuators(
+    spec: mujoco.MjSpec, joints: Sequence[str], named_joints: Collection[str]
+) -> list[str]:
+    """Remove actuators on joints and the sensors that read them; return messages.
+
+    Actuators of named joints are replaced as the config has it, which needs no message.
+    """
     replaced = {
         actuator.name: actuator
         for actuator in spec.actuators
@@ -443,8 +457,12 @@ def _remove_actuators(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:
     }
     if not replaced:
         return []
-    pairs = ", ".join(f"{name!r} on {actuator.target!r}" for name, actuator in replaced.items())
-    notes = [f"drives (drive_pros) replace its actuators: {pairs}"]
+    pairs = ", ".join(
+        f"{name!r} on {actuator.target!r}"
+        for name, actuator in replaced.items()
+        if actuator.target not in named_joints
+    )
+    notes = [f"drives (drive_pros) replace its actuators: {pairs}"] if pairs else []
     orphaned_sensors = [
         sensor
         for sensor in spec.sensors

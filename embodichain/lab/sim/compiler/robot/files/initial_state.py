@@ -18,6 +18,7 @@ from embodichain.lab.sim.compiler.robot.files.robot_joints import (
     FileJoints,
     Servo,
     gear_of,
+    hint_at_degrees,
     movable_joints,
     read_servos,
 )
@@ -214,19 +215,31 @@ def resolve_qpos(
         if not is_named[mimic.joint] and (keyframe is None or is_named[mimic.leader]):
             qpos[mimic.joint] = mimic.slope * qpos[mimic.leader] + mimic.offset
     _move_coupled_joints(equalities, is_named, qpos)
-    for i in np.flatnonzero(is_named).tolist():
-        joint = joints.rows[i]
-        lowest = joint.lower - _LIMIT_TOLERANCE
-        highest = joint.upper + _LIMIT_TOLERANCE
-        if not lowest <= qpos[i] <= highest:  # NaN is not
-            message = (
-                f"joint {joint.name!r} starts at {qpos[i]:g}, outside its limits "
-                f"[{joint.lower:g}, {joint.upper:g}]"
-            )
-            problems.append(Problem("init_qpos", message))
+    problems += _outside_limits(qpos, is_named, joints)
     # Only the config's values are checked against limits; rounding beyond limits is clamped.
     low, high = joints.qpos_limits.T
     return np.where(is_named, np.clip(qpos, low, high), qpos), problems
+
+
+def _outside_limits(qpos: F64, is_named: Mask, joints: FileJoints) -> list[Problem]:
+    """Return the problem that named joints start outside their limits, one for all of them."""
+    outside: list[str] = []
+    hints: list[str] = []
+    for i in np.flatnonzero(is_named).tolist():
+        joint = joints.rows[i]
+        position = float(qpos[i])
+        lowest = joint.lower - _LIMIT_TOLERANCE
+        highest = joint.upper + _LIMIT_TOLERANCE
+        if lowest <= position <= highest:  # NaN is not
+            continue
+        limits = f"[{joint.lower:g}, {joint.upper:g}]"
+        outside.append(f"joint {joint.name!r} starts at {position:g}, outside its limits {limits}")
+        hint = hint_at_degrees(position, lowest, highest) if joint.is_hinge else ""
+        if hint:
+            hints.append(hint)
+    if not outside:
+        return []
+    return [Problem("init_qpos", "; ".join(outside), hints[0] if hints else "")]
 
 
 def _move_coupled_joints(equalities: Sequence[JointCoupling], is_named: Mask, qpos: F64) -> None:

@@ -30,6 +30,7 @@ from embodichain.lab.sim.compiler.robot.files.urdf_reading import (
     UrdfLimits,
     carriers,
     check_joints,
+    check_links,
     check_text,
     planar_notes,
     read_limits,
@@ -271,6 +272,7 @@ def _read_urdf(
     links = root.findall("link")
     if not links:
         raise ConfigError(f"{path}: the robot has no <link>")
+    check_links(path, root, line_of)
     check_joints(path, root, line_of)
     check_depth(path, carriers(root))
     limits = read_limits(path, root, line_of)

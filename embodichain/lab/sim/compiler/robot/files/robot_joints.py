@@ -6,6 +6,7 @@ generation); on a joint, length is ``gear * q`` and the joint's force is ``gear 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,7 @@ __all__ = [
     "ServoColumns",
     "control_names",
     "gear_of",
+    "hint_at_degrees",
     "movable_joints",
     "read_joints",
     "read_servos",
@@ -233,6 +235,7 @@ class FileJoint:
 
     Attributes:
         name: Its name.
+        is_hinge: Whether it turns; a slide moves along its axis.
         lower: Lower limit of its position, rad or m.
         upper: Upper limit of its position, rad or m.
         max_velocity: rad/s or m/s.
@@ -250,6 +253,7 @@ class FileJoint:
     """
 
     name: str
+    is_hinge: bool
     lower: float
     upper: float
     max_velocity: float
@@ -307,6 +311,20 @@ class FileJoints:
         return np.array([joint.max_effort for joint in self.rows], np.float64)
 
 
+def hint_at_degrees(position: float, lower: float, upper: float) -> str:
+    """Return what a hinge's position outside its limits is in radians, or ``""``.
+
+    Args:
+        position: The position, which is read as rad.
+        lower: Lower limit, rad.
+        upper: Upper limit, rad.
+    """
+    is_in_turn = abs(position) <= 2 * math.pi
+    if is_in_turn or not lower <= math.radians(position) <= upper:
+        return ""
+    return f"In degrees? {position:g} degrees are {math.radians(position):.5g} rad."
+
+
 def movable_joints(model: mujoco.MjModel) -> Ids:
     """Return the ids of hinge and slide joints, in qpos order, without ball and free joints."""
     return np.flatnonzero(np.isin(model.jnt_type, _MOVABLE)).astype(np.int64)
@@ -343,6 +361,7 @@ def read_joints(
         rows.append(
             FileJoint(
                 name=name,
+                is_hinge=bool(model.jnt_type[joint] == int(_JOINT.mjJNT_HINGE)),
                 lower=lower,
                 upper=upper,
                 max_velocity=limits.velocity.get(name, np.inf),

@@ -15,8 +15,17 @@ from typing import Any
 
 from embodichain.data.faults import unexpanded
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean, listing
 
-__all__ = ["UrdfLimits", "carriers", "check_joints", "check_text", "planar_notes", "read_limits"]
+__all__ = [
+    "UrdfLimits",
+    "carriers",
+    "check_joints",
+    "check_links",
+    "check_text",
+    "planar_notes",
+    "read_limits",
+]
 
 Lines = Mapping[ET.Element, int]
 
@@ -38,6 +47,33 @@ def check_text(path: Path, root: ET.Element, line_of: Lines) -> None:
         f"{first}{more}: xacro has to be expanded to URDF first: `xacro {path.name} > robot.urdf`, "
         "with a value for each argument, or write the values into the file"
     )
+
+
+def check_links(path: Path, root: ET.Element, line_of: Lines) -> None:
+    """Refuse joints between links that the file does not have.
+
+    Raises:
+        ConfigError: Every one, with the file, the line and the closest link.
+    """
+    links = [link.get("name", "") for link in root.findall("link")]
+    problems: list[Problem] = []
+    for joint in root.findall("joint"):
+        for which in ("parent", "child"):
+            name = _end(joint, which)
+            if name in links or (which == "parent" and name == "world"):
+                continue
+            place = joint.find(which)
+            line = line_of[joint if place is None else place]
+            start = f"{path}:{line}: joint {joint.get('name', '')!r}"
+            if not name:
+                problems.append(Problem("", f'{start} has no <{which} link="...">'))
+                continue
+            fault = f"{start} has the {which} {name!r}, and no link is called so"
+            there = f"there are: {listing(links, name)}"
+            hint = did_you_mean(name, links).strip()
+            problems.append(Problem("", f"{fault}; {there}", hint).at(""))
+    if problems:
+        raise ConfigError(problems)
 
 
 def check_joints(path: Path, root: ET.Element, line_of: Lines) -> None:
