@@ -154,7 +154,7 @@ class _SoundPart:
         self._incomplete.add(re.sub(r"\.[^.]+(\.\d+)*$", "", problem.path))
         if has_joints:
             self._are_joints_known = False
-            for name in _NAMING:
+            for name in (*_NAMING, "names"):
                 if name in keys:
                     self._lost_names.update(keys[keys.index(name) + 1 :])
         elif section in named_maps() and len(keys) > 2:
@@ -180,7 +180,12 @@ class _SoundPart:
             term = {keys[2]: terms.get(keys[2])}
             if self._lost_names & set(_words(term)):
                 return False
-        return not any(f"'{name}'" in problem.message for name in self._lost_names)
+        # A control part gives a tool point its name, and an attached file its links.
+        return not any(
+            f"'{name}{end}" in problem.message
+            for name in self._lost_names
+            for end in ("'", "_tcp'", "/")
+        )
 
     def _leave_term(self, section: str, name: str, below: list[str], problem: Problem) -> bool:
         """Remove a term with a mistake at or below it; return whether it was removed."""

@@ -79,6 +79,7 @@ from embodichain.lab.sim.compiler.robot.robot_links import (
     lock_joints,
     prepare_file,
     resolve_tools,
+    tool_links,
 )
 from embodichain.lab.sim.compiler.robot.robot_notes import (
     driven_mimics,
@@ -307,8 +308,7 @@ def _compile(
     notes += [f"{file.path}: {line}" for line in root.notes]
     model = compile_quietly(spec)
     placement = place(placed, _root_pose(model, root, keyframe))
-    tool_links = [tool.link for tool in settings.tools.values()]
-    left_out = [*cfg.attachments, *tool_links] if problems else []
+    left_out = [*cfg.attachments, *tool_links(cfg)] if problems else []
     aliases, mistakes = resolve_aliases(cfg, frames_by_kind(model), left_out)
     problems += mistakes
     home = getattr(cfg, "home", None)

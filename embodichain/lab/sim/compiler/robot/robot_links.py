@@ -64,6 +64,7 @@ __all__ = [
     "lock_joints",
     "prepare_file",
     "resolve_tools",
+    "tool_links",
 ]
 
 AttachedOptions = tuple[str, mujoco.MjSpec, frozenset[str]]
@@ -358,10 +359,7 @@ def resolve_tools(
         links: The links of its file.
         sites: The sites of its file.
     """
-    solver_cfg = getattr(cfg, "solver_cfg", None) or {}
-    solvers: Mapping[str, SolverCfg] = (
-        {WHOLE: solver_cfg} if isinstance(solver_cfg, SolverCfg) else solver_cfg
-    )
+    solvers = _solvers(cfg)
     tools: dict[str, Tool] = {}
     problems: list[Problem] = []
     for part, solver in solvers.items():
@@ -373,6 +371,21 @@ def resolve_tools(
         if tool is not None:
             tools[part] = tool
     return tools, problems
+
+
+def tool_links(cfg: ArticulationCfg) -> list[str]:
+    """Return the names of the links that tool points of a config add, where nothing is wrong."""
+    return [_tool_link(part) for part in _solvers(cfg)]
+
+
+def _solvers(cfg: ArticulationCfg) -> Mapping[str, SolverCfg]:
+    """Return control part -> its solver; `WHOLE` for that of the whole robot."""
+    solver_cfg = getattr(cfg, "solver_cfg", None) or {}
+    return {WHOLE: solver_cfg} if isinstance(solver_cfg, SolverCfg) else solver_cfg
+
+
+def _tool_link(part: str) -> str:
+    return "tcp" if part == WHOLE else f"{part}_tcp"
 
 
 def _resolve_tool(
@@ -388,7 +401,7 @@ def _resolve_tool(
         if not mistakes:
             pose = initial_pose(tcp)
 
-    name = "tcp" if part == WHOLE else f"{part}_tcp"
+    name = _tool_link(part)
     if solver.end_site_name is not None:
         # A site is not a link: a link is added at it even without a pose.
         if pose is None:
