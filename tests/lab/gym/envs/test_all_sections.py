@@ -14,7 +14,7 @@ def wrong(section: str) -> Any:
         def __init__(self, limit: float = 1.0) -> None:
             raise ConfigError([Problem(f"{section}.mine.params", f"wrong in {section}")])
 
-        def __call__(self) -> Any:
+        def __call__(self, env: Any, obs: Any, action: Any, info: Any) -> Any:
             raise NotImplementedError
 
     return Wrong
