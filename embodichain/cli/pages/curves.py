@@ -29,6 +29,8 @@ _LENGTH = "mean length (control steps)"
 def training_charts(folder: Path) -> list[Markup]:
     """Draw the curves of a training: return, success, length, rewards by term, the curriculum.
 
+    A length that is always the same, and the rewards of a single term, have no chart.
+
     Args:
         folder: The training's folder; without `progress.csv` there are none.
 
@@ -48,7 +50,8 @@ def training_charts(folder: Path) -> list[Markup]:
     curves = read_curves(folder / PROGRESS, lambda name: name.startswith((*titles, *prefixes)))
     charts = []
     for name, title in titles.items():
-        if name in curves:
+        is_constant_length = name == LENGTH and name in curves and np.ptp(curves[name].values) == 0
+        if name in curves and not is_constant_length:
             line = Line(title, curves[name].steps, curves[name].values)
             charts.append(line_chart(title, [line], is_share=name == SUCCESS))
     for prefix, title in prefixes.items():
@@ -57,7 +60,8 @@ def training_charts(folder: Path) -> list[Markup]:
             Line(name.removeprefix(prefix), curves[name].steps, curves[name].values, color=index)
             for index, name in enumerate(names)
         ]
-        if lines:
+        # The reward of a single term is the return.
+        if lines and not (prefix == _REWARD and len(lines) == 1):
             charts.append(line_chart(title, lines))
     return charts
 

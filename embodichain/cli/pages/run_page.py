@@ -109,6 +109,7 @@ def _context(
         "record": record,
         "folder": display_path(folder),
         "begun": f"{record.begun:%Y-%m-%d %H:%M}",
+        "setting": _setting(record.summary),
         "description": _description(record.config),
         "notes": notes,
         "picture_notes": [note for note in (strip.note, failures.note) if note],
@@ -145,6 +146,19 @@ def _notes(record: RunRecord) -> list[str]:
     for path, text in recorded_texts(record.written_config):
         notes.append(f"from a variable of the environment: {path}: {shown(text)}")
     return notes
+
+
+def _setting(summary: Mapping[str, Any]) -> str:
+    """``ppo, seed 3, 64 environments``; what is not known is left out."""
+    parts = []
+    if summary.get("algo"):
+        parts.append(str(summary["algo"]))
+    if summary.get("seed") is not None:
+        parts.append(f"seed {summary['seed']}")
+    count = summary.get("num_envs")
+    if count is not None:
+        parts.append(f"{count:,} environment{'s' * (count > 1)}")
+    return ", ".join(parts)
 
 
 def _description(config: Mapping[str, Any]) -> str:

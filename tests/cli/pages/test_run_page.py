@@ -35,11 +35,18 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made(tmp_path_factory.mktemp("run"), "run", *task, *extra)
 
 
+SHORT = (
+    *("task.max_episode_steps=8", "algo.n_steps=16", "algo.batch_size=32", "eval.episodes=0"),
+    "~task.rewards.near",
+)
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     algo = ("algo.n_steps=16", "algo.batch_size=32", "num_envs=4", "eval.episodes=4", "seed=5")
     task = ("task=cart_pole", "task.max_episode_steps=20", "total_timesteps=256", "record=none")
-    return made(tmp_path_factory.mktemp("training"), "train", *task, *algo)
+    second = "+task.rewards.effort={func: action, shape: [l2], weight: -0.01}"
+    return made(tmp_path_factory.mktemp("training"), "train", *task, second, *algo)
 
 
 def page(run: Path) -> str:
@@ -138,6 +145,7 @@ def test_its_commands_repeat_the_run(
 def test_a_training_has_curves_of_every_reward_and_its_policy_plays(trained: Path) -> None:
     text = page(trained)
     assert titles(text) >= {"mean return", "success rate", "rewards by term"}
+    assert " · ppo, seed 5, 4 environments<" in text
     results = table(text, "results")
     assert results["eval episodes"].startswith("4 episodes")
     # Neither a row without a value nor a share as a bare number.
@@ -162,7 +170,7 @@ def test_an_evaluation_shows_its_intervals(trained: Path, tmp_path: Path) -> Non
     # The seed that was typed, or would have been: environments of an evaluation have another.
     again = next(line for line in commands(text) if " seed=" in line)
     assert f" seed={found['seed']}" in again
-    assert set(table(text, "rewards")) == {"alive"}
+    assert set(table(text, "rewards")) == {"alive", "effort"}
 
 
 def copied(run: Path, to: Path) -> Path:
@@ -294,6 +302,12 @@ def test_a_run_without_ends_shows_what_its_log_has(failing: Path, tmp_path: Path
     text = page(run)
     assert "run, unfinished" in text and "environment 0, episode 0, 6 control steps" in text
     assert [caption for _, caption in pictures(text)][-1] == "step 5"
+
+
+def test_a_curve_that_says_nothing_is_left_out(tmp_path: Path) -> None:
+    """The reward of the only term, and a length that never changes."""
+    run = made(tmp_path, "train", "task=reach", "num_envs=4", "total_timesteps=128", *SHORT)
+    assert titles(page(run)) & {"rewards by term", "mean length (control steps)"} == set()
 
 
 def test_figures_need_no_package(
