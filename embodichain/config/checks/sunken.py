@@ -48,8 +48,18 @@ def note_sunken(env: BaseEnv) -> list[Problem]:
         bodies = np.unique(model.geom_bodyid[entity.geom_ids])
         bodies = bodies[depths[bodies] > _DEPTH]
         if len(bodies):
-            notes.append(_note(model, uid, bodies[np.argsort(-depths[bodies])], depths))
+            deepest_first = bodies[np.argsort(-depths[bodies])]
+            path = f"{_key_of(env, uid)}.init_pos"
+            notes.append(Problem(path, _describe(model, uid, deepest_first, depths)))
     return notes
+
+
+def _key_of(env: BaseEnv, uid: str) -> str:
+    """The key path of an entity's declaration."""
+    for section in ("objects", "articulations", "robots"):
+        if uid in (getattr(env.cfg, section, None) or {}):
+            return f"task.{section}.{uid}"
+    return "task.robot"
 
 
 def _depths(model: mujoco.MjModel, row: NDArray[np.float64], ground: int) -> NDArray[np.float64]:
@@ -67,16 +77,16 @@ def _depths(model: mujoco.MjModel, row: NDArray[np.float64], ground: int) -> NDA
     return depths
 
 
-def _note(
+def _describe(
     model: mujoco.MjModel,
     uid: str,
     bodies: NDArray[np.int_],
     depths: NDArray[np.float64],
-) -> Problem:
-    """The note on an entity whose bodies, the deepest first, are in the ground."""
+) -> str:
+    """Say how deep an entity's bodies are in the ground, the deepest first."""
     name = model.body(int(bodies[0])).name.removeprefix(f"{uid}/")
     fact = f"at the start {name} is {100 * depths[bodies[0]]:.0f} cm below the ground"
     if len(bodies) > 1:
         others = "another part is" if len(bodies) == 2 else f"{len(bodies) - 1} other parts are"
         fact += f", and {others} in the ground too"
-    return Problem(uid, f"{fact}: init_pos is too low for this pose (m)")
+    return f"{fact}: it is too low for this pose (m)"

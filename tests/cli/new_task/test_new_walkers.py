@@ -169,7 +169,7 @@ def test_the_height_follows_from_the_pose_that_is_written(
     assert "below the ground" not in capsys.readouterr().err
     assert main(["validate", "task=mine", "task.robot.init_pos=[0,0,0.15]"]) == 0
     err = capsys.readouterr().err
-    assert re.search(r"robot: at the start tibia_.. is \d cm below the ground, and 5 other", err)
+    assert re.search(r"at the start tibia_.. is \d cm below the ground, and 5 other", err)
 
 
 def test_a_robot_that_lies_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
