@@ -306,7 +306,8 @@ class _Watch(BaseCallback):
             statistics.add(infos[i])
             log_episode(self.logger, infos[i])
             diverged += infos[i]["ended_by"] == "diverged"
-        self._check_validity(is_any_valid=diverged < len(infos))
+        if infos:  # cloning takes no steps
+            self._check_validity(is_any_valid=diverged < len(infos))
         if self._progress is not None and self.stopped is None:
             try:
                 self._progress(statistics)

@@ -266,7 +266,7 @@ def test_a_contact_is_named_with_the_force_between_the_bodies():
             i for i in range(engine.model.nbody) if engine.model.body(i).name == "table"
         }
         assert "table touches base with 29.4 N" in obstacles(engine, 1, table, ())
-        assert obstacles(engine, 1, table, bodies) == "nothing is touched"  # held: left out
+        assert obstacles(engine, 1, table, bodies) == "the robot touches nothing"  # held: left out
         assert is_touching(engine, 1, bodies, table)
         assert not is_touching(engine, 1, bodies[:1], bodies[1:])
     finally:
