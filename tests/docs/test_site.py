@@ -211,7 +211,7 @@ def test_pages_in_a_browser(site) -> None:
                 assert width <= 1200, f"{name} is wider than the window"
             page.fill(".md-search__input", "operational_space", timeout=60_000)
             result = page.locator(".md-search-result__item a").first
-            result.wait_for(state="visible", timeout=60_000)
+            result.wait_for(state="visible", timeout=200_000)
             assert "/terms.html" in result.get_attribute("href")
     finally:
         server.shutdown()
