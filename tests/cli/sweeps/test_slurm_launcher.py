@@ -94,6 +94,18 @@ def process_of(identity: str) -> int:
     raise AssertionError(f"no process of job {identity}")
 
 
+def is_queued(cluster: Slurm, identity: str) -> bool:
+    """Whether a job waits, and nothing of its last start runs: Slurm still kills that otherwise."""
+    if state(cluster, identity) != "PENDING":
+        return False
+    wanted = f"SLURM_JOB_ID={identity}".encode()
+    for path in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if wanted in (path / "environ").read_bytes().split(b"\0"):
+                return False
+    return True
+
+
 def saved(job: Path) -> int:
     """The steps of the newest checkpoint; 0 before the first. Only the last few are kept."""
     names = [path.stem for path in (job / "checkpoints").glob("step_*.zip")]
@@ -115,12 +127,12 @@ def test_jobs_are_queued_again_killed_and_go_on_to_the_bit(
 
     os.kill(process_of(names[second]), signal.SIGKILL)
     cluster.call("scancel", "--signal=USR2", first)  # as Slurm does before a job's time ends
-    until(lambda: state(cluster, first) == "PENDING", "requeue", process)
+    until(lambda: is_queued(cluster, first), "requeue", process)
     count = saved(jobs[0])
     cluster.call("scontrol", "update", f"JobId={first}", "StartTime=now")  # not in two minutes
     until(lambda: saved(jobs[0]) > count, "checkpoint of the second start", process)
     cluster.call("scontrol", "requeue", first)  # as an administrator does
-    until(lambda: state(cluster, first) == "PENDING", "requeue", process)
+    until(lambda: is_queued(cluster, first), "requeue", process)
     cluster.call("scontrol", "update", f"JobId={first}", "StartTime=now")
 
     code, said = ended(process)
