@@ -26,7 +26,7 @@ def float_text(value: float) -> str:
 def result_number(value: float) -> str:
     """Format a measured value: as `float_text`, but a small one has six decimals and no exponent.
 
-    An error of 3e-24 m is 0 to whoever reads a table; files of results have all digits.
+    In a table an error of 3e-24 m is shown as 0; files of results have all digits.
 
     Args:
         value: The value, in SI units.

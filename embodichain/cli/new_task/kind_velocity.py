@@ -59,7 +59,7 @@ def draft_velocity(robot: EmbodiedRobot) -> Iterator[TaskDraft]:
     """Yield the task of walking.
 
     Raises:
-        ConfigError: If the robot lies in its first pose: its feet are not below its trunk.
+        ConfigError: If the feet are not below the trunk in the first pose, so that the robot lies.
     """
     legs = legs_with_feet(robot.model, robot.data, robot.frames_of("feet"))
     _check_that_it_stands(robot, legs)

@@ -351,7 +351,8 @@ def _spread(model: mujoco.MjModel, data: mujoco.MjData, leg: Leg) -> bool:
     first = data.qpos.copy()
     has_one_joint = lift == len(leg.joints) - 1
     arrived = 0.05 * length if has_one_joint else 2e-3 * length
-    for aside, below in _PLACES_OF_ONE_JOINT if has_one_joint else _PLACES_OF_SPREAD:
+    places = _PLACES_OF_ONE_JOINT if has_one_joint else _PLACES_OF_SPREAD
+    for aside, below in places:
         place = hip + length * (aside * outwards - [0.0, 0.0, below])
         if place[2] > highest:
             continue

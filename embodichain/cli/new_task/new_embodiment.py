@@ -335,7 +335,8 @@ def _drive_guess(robot: RobotFile) -> Guess:
         stiffness, damping = leg_gains(parsed.model, robot.data, robot.legs)
         why = f"by the weight on its legs; {why}"
     if robot.wheels:
-        stiffness, damping = 0.0, _WHEEL_DAMPING
+        stiffness = 0.0
+        damping = _WHEEL_DAMPING
         why = "wheels follow targets of velocity"
     if not parsed.own_actuators:
         effort = ", max_effort: file" if _knows_efforts(robot) else ""

@@ -343,7 +343,7 @@ def _check_study(
     names = [name for name in receipt.files if Path(name).name == RECEIPT]
     chosen = names
     if not every and len(names) > SAMPLED:
-        if sample_seed is None:  # nobody can know beforehand which ones are simulated
+        if sample_seed is None:  # drawn anew: the sample cannot be known beforehand
             sample_seed = secrets.randbelow(2**31)
         rng = np.random.default_rng(sample_seed)
         drawn = rng.choice(len(names), size=SAMPLED, replace=False)

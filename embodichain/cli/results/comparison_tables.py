@@ -120,7 +120,8 @@ def _range_text(counts: Sequence[int]) -> str | None:
     """``100``, or ``64 to 100`` where runs differ."""
     if not counts:
         return None
-    low, high = min(counts), max(counts)
+    low = min(counts)
+    high = max(counts)
     return f"{low:,}" if low == high else f"{low:,} to {high:,}"
 
 

@@ -116,7 +116,9 @@ def _joint_positions_of_terms(task: Any) -> Iterator[Problem]:
         return
     for section, funcs, key in _JOINT_TERMS:
         terms = task.get(section)
-        for name, term in terms.items() if isinstance(terms, Mapping) else ():
+        if not isinstance(terms, Mapping):
+            continue
+        for name, term in terms.items():
             params = term.get("params") if isinstance(term, Mapping) else None
             if not isinstance(params, Mapping) or term.get("func") not in funcs:
                 continue

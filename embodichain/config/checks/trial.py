@@ -61,7 +61,7 @@ def try_zero_actions(env: BaseEnv) -> list[Problem]:
     from embodichain.lab.sim.sensors.camera import Camera
 
     if not isinstance(env.single_action_space, Box):
-        return []  # of a class with actions of its own: nobody knows which of them does nothing
+        return []  # a class with actions of its own: which of them does nothing is unknown
     has_cameras = any(isinstance(sensor, Camera) for sensor in env.sim.sensors.values())
     num_steps = _STEPS_WITH_CAMERAS if has_cameras else _STEPS
     trial = _Trial(np.zeros(env.num_envs, np.bool_))

@@ -373,7 +373,7 @@ _CALL = "embodichain.make"
 
 
 def _in_python(problem: Problem) -> Problem:
-    """The problem of an argument or an override, without a command line that nobody typed."""
+    """The problem of an argument or an override; in Python it has no command line."""
     return problem.at(problem.source.replace(COMMAND_LINE, _CALL))
 
 

@@ -74,11 +74,13 @@ def _box_around(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> F64:
         mesh = model.geom_dataid[geom]
         start = model.mesh_vertadr[mesh]
         vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]] @ axes.T
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        low = vertices.min(axis=0)
+        high = vertices.max(axis=0)
     else:
         middle, half_size = np.split(model.geom_aabb[geom], 2)
         half = np.abs(axes) @ half_size
-        low, high = axes @ middle - half, axes @ middle + half
+        low = axes @ middle - half
+        high = axes @ middle + half
     box: F64 = data.geom_xpos[geom] + np.array([low, high])
     return box
 
@@ -107,13 +109,8 @@ def without_effort(
     driven = _leaders_with(place_of_zero, joints, mimics)
     if not driven:
         return []
-    places = ", ".join(f"{name!r} ({place_of_zero[name]})" for name in driven)
-    entries = ", ".join(f"{exact_pattern(name)}: N" for name in driven)
-    return [
-        f'effort="0" is taken as no limit for joints {places}: write their limits into the file, '
-        f"or drive_pros.max_effort: {{{entries}}}, in N m or N; a joint that shall not push needs "
-        "stiffness 0 and damping 0"
-    ]
+    fact = _zero_is_no_limit("effort", "N", {name: place_of_zero[name] for name in driven})
+    return [f"{fact}, in N m or N; a joint that shall not push needs stiffness 0 and damping 0"]
 
 
 def without_velocity(
@@ -126,12 +123,24 @@ def without_velocity(
     driven = _leaders_with(place_of_zero, joints, mimics)
     if not driven:
         return []
-    places = ", ".join(f"{name!r} ({place_of_zero[name]})" for name in driven)
-    entries = ", ".join(f"{exact_pattern(name)}: SPEED" for name in driven)
-    return [
-        f'velocity="0" is taken as no limit for joints {places}: write their limits into the '
-        f"file, or drive_pros.max_velocity: {{{entries}}}, in rad/s or m/s"
-    ]
+    fact = _zero_is_no_limit("velocity", "SPEED", {name: place_of_zero[name] for name in driven})
+    return [f"{fact}, in rad/s or m/s"]
+
+
+def _zero_is_no_limit(limit: str, value: str, places: Mapping[str, str]) -> str:
+    """Say that a limit of 0 is not one, and where to write the right one.
+
+    Args:
+        limit: The attribute in the file: ``effort`` or ``velocity``.
+        value: What is written in its place.
+        places: Joints with such a limit -> file and line.
+    """
+    joints = ", ".join(f"{name!r} ({place})" for name, place in places.items())
+    entries = ", ".join(f"{exact_pattern(name)}: {value}" for name in places)
+    return (
+        f'{limit}="0" is taken as no limit for joints {joints}: write their limits into the file, '
+        f"or drive_pros.max_{limit}: {{{entries}}}"
+    )
 
 
 def _leaders_with(
